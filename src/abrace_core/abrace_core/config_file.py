@@ -1,0 +1,49 @@
+"""YAML files that people write: read, checked key by key, and refused with one clear line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TypeVar
+
+import pydantic
+import yaml
+
+from abrace_core.errors import AbraceError
+
+
+class Checked(pydantic.BaseModel):
+    """Base of every file schema: unknown keys, NaN and infinity are refused, and nothing changes after reading."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Schema = TypeVar("Schema", bound=Checked)
+
+
+def read_config(path: Path | str, schema: type[Schema], kind: str) -> Schema:
+    """Read a YAML file into `schema`.
+
+    Raises
+    ------
+    AbraceError
+        `<kind> file <path>: <key>: <value>, expected ...`, for the first mistake found.
+    """
+    try:
+        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise AbraceError(f"{kind} file {path}: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise AbraceError(f"{kind} file {path}: not YAML ({' '.join(str(error).split())})") from error
+    if not isinstance(content, dict):
+        raise AbraceError(f"{kind} file {path}: expected keys and values, found {type(content).__name__}")
+    try:
+        return schema.model_validate(content)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "extra_forbidden":
+            raise AbraceError(f"{kind} file {path}: {key}: unknown key") from error
+        if first["type"] == "missing":
+            raise AbraceError(f"{kind} file {path}: {key}: key is missing") from error
+        expected = first["msg"].removeprefix("Value error, ")
+        raise AbraceError(f"{kind} file {path}: {key}: {first['input']!r}, expected otherwise: {expected}") from error

@@ -1,0 +1,224 @@
+"""State-space models with named signals: dx/dt = A x + B u(t - delay), y = C x + D u(t - delay).
+
+The model type of the whole house (Eqs. 3 to 9 of the paper). A model is immutable; it is kept in a JSON file together
+with what made it, and converts to python-control's StateSpace and to MATLAB.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import linalg
+
+from abrace_core.errors import AbraceError
+from abrace_core.files import write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import control
+    from numpy.typing import ArrayLike, NDArray
+
+FILE_FORMAT = "abrace model 1"
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """A linear time-invariant model with named inputs and outputs.
+
+    Parameters
+    ----------
+    a, b, c, d
+        Matrices of shapes (states, states), (states, inputs), (outputs, states), (outputs, inputs). SI units.
+    inputs, outputs
+        Names of the signals, each once.
+    sample_period
+        Seconds; 0 for a continuous model.
+    input_delay
+        Seconds for each input; only in continuous models (a discrete one carries its delays in states).
+    provenance
+        What made the model: bags, method, options, version. Any JSON values.
+
+    Raises
+    ------
+    AbraceError
+        If shapes and names do not fit, or a number is not finite.
+    """
+
+    a: NDArray[np.float64]
+    b: NDArray[np.float64]
+    c: NDArray[np.float64]
+    d: NDArray[np.float64]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    sample_period: float = 0.0
+    input_delay: tuple[float, ...] = ()
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n, m, p = len(self.a), len(self.inputs), len(self.outputs)
+        for name, shape in (("a", (n, n)), ("b", (n, m)), ("c", (p, n)), ("d", (p, m))):
+            matrix = np.asarray(getattr(self, name), dtype=np.float64).reshape(shape if n == 0 else (-1, shape[1]))
+            if matrix.shape != shape:
+                raise AbraceError(f"model matrix {name}: shape {matrix.shape}, expected {shape}")
+            if not np.isfinite(matrix).all():
+                raise AbraceError(f"model matrix {name}: has a value that is not finite")
+            object.__setattr__(self, name, matrix)
+        object.__setattr__(self, "inputs", tuple(self.inputs))
+        object.__setattr__(self, "outputs", tuple(self.outputs))
+        for names in (self.inputs, self.outputs):
+            if len(set(names)) != len(names):
+                raise AbraceError(f"model signals {names}: each name once was expected")
+        delay = tuple(float(value) for value in self.input_delay) or (0.0,) * m
+        if len(delay) != m or min(delay, default=0.0) < 0 or not np.isfinite(delay).all():
+            raise AbraceError(f"model input_delay {delay}: expected one delay >= 0 for each of {m} inputs")
+        if self.sample_period and any(delay):
+            raise AbraceError("model input_delay: a discrete model carries its delays in states, expected zeros")
+        object.__setattr__(self, "input_delay", delay)
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return len(self.a)
+
+    def poles(self) -> NDArray[np.complex128]:
+        """Continuous poles [rad/s], slowest first; those of a discrete model are mapped back by log(z)/T."""
+        poles: NDArray[np.complex128] = linalg.eigvals(self.a).astype(np.complex128)
+        if self.sample_period:
+            poles = np.log(poles) / self.sample_period
+        return poles[np.argsort(np.abs(poles), kind="stable")]
+
+    def is_stable(self) -> bool:
+        """Whether every pole lies strictly inside the stability region."""
+        return bool(np.all(self.poles().real < 0))
+
+    def frequency_response(self, omega: ArrayLike) -> NDArray[np.complex128]:
+        """Response at the angular frequencies `omega` [rad/s], shape (frequencies, outputs, inputs)."""
+        omega = np.atleast_1d(np.asarray(omega, dtype=np.float64))
+        s = np.exp(1j * omega * self.sample_period) if self.sample_period else 1j * omega
+        values, vectors = linalg.eig(self.a)
+        if self.order and np.linalg.cond(vectors) < 1e10:
+            left = np.linalg.solve(vectors, self.b.astype(np.complex128))
+            response = np.einsum("pn,fn,nm->fpm", self.c @ vectors, 1 / (s[:, None] - values), left, optimize=True)
+        else:
+            pencil = s[:, None, None] * np.eye(self.order) - self.a
+            response = self.c @ np.linalg.solve(pencil, np.broadcast_to(self.b, (len(s), *self.b.shape)))
+        return (response + self.d) * np.exp(-1j * omega[:, None, None] * np.array(self.input_delay))
+
+    def select(self, outputs: Sequence[str] | None = None, inputs: Sequence[str] | None = None) -> LinearModel:
+        """The same model with only these outputs and inputs, in this order."""
+        outputs, inputs = outputs or self.outputs, inputs or self.inputs
+        rows = [self._index(self.outputs, name, "output") for name in outputs]
+        columns = [self._index(self.inputs, name, "input") for name in inputs]
+        return replace(
+            self,
+            b=self.b[:, columns],
+            c=self.c[rows],
+            d=self.d[np.ix_(rows, columns)],
+            inputs=tuple(inputs),
+            outputs=tuple(outputs),
+            input_delay=tuple(self.input_delay[j] for j in columns),
+        )
+
+    @staticmethod
+    def _index(names: tuple[str, ...], name: str, kind: str) -> int:
+        if name not in names:
+            raise AbraceError(f"model has no {kind} {name!r}: it has {', '.join(names)}")
+        return names.index(name)
+
+    def to_control(self) -> control.StateSpace:
+        """The model as python-control's StateSpace (which has no delays: a model with delays is refused)."""
+        import control
+
+        if any(self.input_delay):
+            raise AbraceError("model has input delays, which python-control's StateSpace cannot hold")
+        dt = self.sample_period or 0
+        return control.ss(self.a, self.b, self.c, self.d, dt, inputs=list(self.inputs), outputs=list(self.outputs))
+
+
+def pole_table(poles: NDArray[np.complex128]) -> list[tuple[float, float]]:
+    """(frequency [rad/s], damping ratio) of each complex pair, slowest first; real poles are left out.
+
+    >>> [(round(w, 3), round(z, 4)) for w, z in pole_table(np.array([-0.11 + 7.275j, -0.11 - 7.275j]))]
+    [(7.276, 0.0151)]
+    """
+    upper = poles[poles.imag > 1e-9 * np.abs(poles)]
+    upper = upper[np.argsort(np.abs(upper))]
+    return [(float(abs(p)), float(-p.real / abs(p))) for p in upper]
+
+
+def save_model(model: LinearModel, path: Path | str) -> None:
+    """Write the model to a JSON file, whole or not at all."""
+    content = {
+        "format": FILE_FORMAT,
+        "sample_period": model.sample_period,
+        "inputs": model.inputs,
+        "outputs": model.outputs,
+        "input_delay": model.input_delay,
+        "a": model.a.tolist(),
+        "b": model.b.tolist(),
+        "c": model.c.tolist(),
+        "d": model.d.tolist(),
+        "provenance": model.provenance,
+    }
+    write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def load_model(path: Path | str) -> LinearModel:
+    """Read a model file.
+
+    Raises
+    ------
+    AbraceError
+        If the file is missing, is no JSON, or is not a model file.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise AbraceError(f"model file {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise AbraceError(f"model file {path}: not JSON ({error})") from error
+    if not isinstance(content, dict) or content.get("format") != FILE_FORMAT:
+        raise AbraceError(f"model file {path}: expected a JSON object with format {FILE_FORMAT!r}")
+    try:
+        n, m, p = len(content["a"]), len(content["inputs"]), len(content["outputs"])
+        shapes = {"a": (n, n), "b": (n, m), "c": (p, n), "d": (p, m)}
+        matrices = {key: np.asarray(content[key], dtype=np.float64).reshape(shapes[key]) for key in shapes}
+        return LinearModel(
+            **matrices,
+            inputs=tuple(content["inputs"]),
+            outputs=tuple(content["outputs"]),
+            sample_period=float(content["sample_period"]),
+            input_delay=tuple(content["input_delay"]),
+            provenance=content["provenance"],
+        )
+    except KeyError as error:
+        raise AbraceError(f"model file {path}: key {error} is missing") from error
+    except (TypeError, ValueError, AbraceError) as error:
+        raise AbraceError(f"model file {path}: {error}") from error
+
+
+def export_mat(model: LinearModel, path: Path | str) -> None:
+    """Write the model's matrices, names and delays to a MATLAB `.mat` file, whole or not at all."""
+    from scipy.io import savemat
+
+    from abrace_core.files import write_beside
+
+    with write_beside(path) as beside:
+        savemat(
+            str(beside),
+            {
+                "A": model.a,
+                "B": model.b,
+                "C": model.c,
+                "D": model.d,
+                "Ts": model.sample_period,
+                "inputs": np.array(model.inputs, dtype=object),
+                "outputs": np.array(model.outputs, dtype=object),
+                "input_delay": np.array(model.input_delay),
+            },
+        )

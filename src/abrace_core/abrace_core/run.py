@@ -1,0 +1,85 @@
+"""A recorded test of the rig as arrays: what a bag's `response` topic says, with named channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from abrace_core import signals
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recorded test.
+
+    Parameters
+    ----------
+    source
+        Where it came from, for messages and provenance.
+    sample_period
+        Seconds.
+    sequence
+        (samples,) sample numbers.
+    floors, groups
+        Size of the rig.
+    outputs
+        (samples, channels): the recorded quantities z, named by `names`.
+    ground_acceleration
+        (samples,) [m/s^2].
+    command
+        (samples, groups) [N], in force until each sample.
+    facts
+        What the bag says of its run: rig, controller, record, versions.
+    """
+
+    source: str
+    sample_period: float
+    sequence: NDArray[np.uint64]
+    floors: int
+    groups: int
+    outputs: NDArray[np.float64]
+    ground_acceleration: NDArray[np.float64]
+    command: NDArray[np.float64]
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the channels of `outputs`."""
+        return signals.response_names(self.floors, self.groups)
+
+    @property
+    def command_names(self) -> tuple[str, ...]:
+        """Names of the commands."""
+        return signals.command_names(self.groups)
+
+    @property
+    def command_from_here(self) -> NDArray[np.float64]:
+        """(samples, groups) [N], the command in force from each sample on: what a held input is to a model."""
+        return np.vstack([self.command[1:], self.command[-1:]])
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """(samples,) seconds since the first sample."""
+        return (self.sequence - self.sequence[0]).astype(np.float64) * self.sample_period
+
+    def channels(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """(samples, len(names)) of these outputs, commands or the ground acceleration."""
+        columns = []
+        for name in names:
+            if name == signals.GROUND:
+                columns.append(self.ground_acceleration)
+            elif name in self.command_names:
+                columns.append(self.command[:, self.command_names.index(name)])
+            elif name in self.names:
+                columns.append(self.outputs[:, self.names.index(name)])
+            else:
+                raise AbraceError(f"{self.source}: no channel {name!r}, it has {', '.join(self.names)}")
+        return np.column_stack(columns)

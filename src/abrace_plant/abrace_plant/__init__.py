@@ -1,0 +1,1 @@
+"""The laboratory: building, braces, records, sensors, and the nodes that run them."""

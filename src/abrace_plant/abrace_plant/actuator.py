@@ -1,0 +1,47 @@
+"""The hydraulic actuator under force control, with its natural velocity feedback.
+
+    tau f' = (U - f) + omega_i g - c v,     g' = U - f
+
+f is the force in the load cell [N], U the command [N], v the velocity at which the actuator extends [m/s]. With its end
+held (the bench of Fig. 2) it has unity gain and a lag of tau. In a building the term c v makes the structure's poles
+the zeros of f/U: the control-structure interaction of Fig. 3 (Dyke et al. 1995).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from abrace_core.linear_model import LinearModel
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """A force-controlled actuator.
+
+    Parameters
+    ----------
+    capacity
+        Greatest force of one actuator [N]; commands and forces are cut to it.
+    rate_limit
+        Greatest rate of the command [N/s].
+    lag
+        tau [s].
+    integral_rate
+        omega_i [1/s].
+    velocity_feedback
+        c [N s/m].
+    """
+
+    capacity: float
+    rate_limit: float
+    lag: float
+    integral_rate: float
+    velocity_feedback: float
+
+    def bench_model(self) -> LinearModel:
+        """U to f with the actuator's end held, as on the bench (Fig. 2)."""
+        a = np.array([[-1.0, self.integral_rate], [-self.lag, 0.0]]) / self.lag
+        b = np.array([[1.0], [self.lag]]) / self.lag
+        return LinearModel(a, b, np.array([[1.0, 0.0]]), np.zeros((1, 1)), ("U",), ("f",))
