@@ -85,6 +85,22 @@ class LocalMode:
 
 
 @dataclass(frozen=True)
+class Table:
+    """What the shake table can do.
+
+    Parameters
+    ----------
+    peak_acceleration
+        [m/s^2].
+    peak_jerk
+        Greatest rate of the acceleration [m/s^3].
+    """
+
+    peak_acceleration: float
+    peak_jerk: float
+
+
+@dataclass(frozen=True)
 class Rig:
     """A building with braces on a shake table.
 
@@ -94,6 +110,8 @@ class Rig:
         What the laboratory calls it.
     sample_rate
         Hz.
+    table
+        Limits of the shake table.
     building, braces, local_modes
         The physical parts; no braces: the bare frame.
     sensors
@@ -104,6 +122,7 @@ class Rig:
 
     name: str
     sample_rate: float
+    table: Table
     building: Building
     braces: tuple[BraceGroup, ...]
     local_modes: tuple[LocalMode, ...]

@@ -11,7 +11,7 @@ from abrace_core.config_file import Checked, read_config
 from abrace_core.errors import AbraceError
 from abrace_plant.actuator import Actuator
 from abrace_plant.building import Building
-from abrace_plant.rig import BraceGroup, LocalMode, Rig
+from abrace_plant.rig import BraceGroup, LocalMode, Rig, Table
 from abrace_plant.sensors import Sensor, SensorSet
 
 if TYPE_CHECKING:
@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
 DampingRatio = Annotated[float, pydantic.Field(gt=0, lt=1)]
+
+
+class _Table(Checked):
+    peak_acceleration: Positive
+    peak_jerk: Positive
 
 
 class _Building(Checked):
@@ -69,6 +74,7 @@ class _Sensors(Checked):
 class _Rig(Checked):
     name: str
     sample_rate: Positive
+    table: _Table
     building: _Building
     braces: Annotated[list[_BraceGroup], pydantic.Field(min_length=1)]
     local_modes: list[_LocalMode] = []
@@ -111,6 +117,7 @@ def load_rig(path: Path | str) -> Rig:
     return Rig(
         name=content.name,
         sample_rate=content.sample_rate,
+        table=Table(**content.table.model_dump()),
         building=Building(np.array(building.masses), stiffness, np.array(building.damping_ratios)),
         braces=tuple(
             BraceGroup(

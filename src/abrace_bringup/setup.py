@@ -1,0 +1,21 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+setup(
+    name="abrace_bringup",
+    version="0.1.0",
+    packages=find_packages(),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/abrace_bringup"]),
+        ("share/abrace_bringup", ["package.xml"]),
+        ("share/abrace_bringup/launch", sorted(glob("launch/*.launch.py"))),
+        ("share/abrace_bringup/campaigns", sorted(glob("campaigns/*.yaml"))),
+        ("bin", ["scripts/abrace"]),
+    ],
+    zip_safe=True,
+    maintainer="abrace developers",
+    maintainer_email="maintainers@abrace.example.org",
+    description="Launch files, campaigns, reports and the abrace command.",
+    license="Apache-2.0",
+)

@@ -1,0 +1,123 @@
+"""The node behind every node that commands braces: it answers each sample with a force that has passed the checks.
+
+Like `node`, it imports rclpy. A subclass says what force it wants; this class sees to the rest: lost samples, the
+guard, the emergency stop, faults that a person clears, and a smooth end when the node is deactivated.
+"""
+
+from __future__ import annotations
+
+import time
+from array import array
+from typing import TYPE_CHECKING
+
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from abrace_core.command_guard import CommandGuard
+from abrace_core.node import COMMAND_QOS, LATCHED_QOS, RESPONSE_QOS, AbraceLifecycleNode, Parameter
+from abrace_core.sample_watch import SampleWatch
+from abrace_interfaces.msg import BraceCommand, Response
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+RAMP_TIME = 0.5
+"""Seconds within which a fault, or the node's end, brings the force to zero."""
+
+RATE_LIMIT = Parameter("rate_limit", 5.0e6, "N/s, greatest rate of the force of one brace", minimum=1.0)
+DEACTIVATED = "deactivated"
+
+
+class BraceCommander(AbraceLifecycleNode):
+    """Answers each Response with a BraceCommand while active."""
+
+    guard: CommandGuard
+
+    def __init__(self, name: str, table: Sequence[Parameter]) -> None:
+        super().__init__(name, [*table, RATE_LIMIT])
+
+    def open_loop(self, sample_period: float, force_limit: Sequence[float]) -> None:
+        """Make guard and topics; called by the subclass's `configure`, with the force limits [N] of each group."""
+        rates = [self.parameters.rate_limit] * len(force_limit)
+        self.guard = CommandGuard(force_limit, rates, sample_period, RAMP_TIME)
+        self.watch = SampleWatch(sample_period)
+        self.command = BraceCommand()
+        self.slowest = 0.0
+        self.quiet = True
+        self.publisher = self.publish_on(BraceCommand, "brace_command", COMMAND_QOS)
+        self.subscribe_to(Response, "response", self.on_response, RESPONSE_QOS)
+        self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
+        self.create_service(Trigger, "~/clear_fault", self.on_clear_fault)
+
+    def restart(self, response: Response) -> None:
+        """Begin anew with this sample, the first of a rig's run or after a fault; subclasses forget the past here."""
+        raise NotImplementedError
+
+    def force(self, response: Response, lost: int) -> NDArray[np.float64]:
+        """The force wanted (groups,) [N] in answer to a sample before which `lost` were lost; subclasses give it."""
+        raise NotImplementedError
+
+    def activate(self) -> None:
+        """Answer from the next sample on."""
+        if self.guard.fault_reason == DEACTIVATED:
+            self.guard.clear()
+        self.watch.sequence = -1
+
+    def deactivate(self) -> None:
+        """The force goes to zero; answers end when it is there."""
+        self.guard.fault(DEACTIVATED)
+
+    def on_response(self, response: Response) -> None:
+        """Answer a sample."""
+        if not self.active and self.quiet:
+            return
+        begin = time.perf_counter()
+        stamp = response.header.stamp
+        lost = self.watch.take(response.sequence, stamp.sec * 10**9 + stamp.nanosec)
+        if self.watch.problem:
+            self.guard.fault(self.watch.problem)
+        if lost < 0:
+            self.restart(response)
+        wanted = self.force(response, lost) if self.guard.fault_reason is None else None
+        force = self.guard.check(wanted)
+        command = self.command
+        command.header.stamp = stamp
+        command.sequence = response.sequence
+        command.force = array("d", force)
+        self.publisher.publish(command)
+        self.quiet = not force.any()
+        self.slowest = max(self.slowest, time.perf_counter() - begin)
+
+    def on_emergency_stop(self, message: Bool) -> None:
+        """Someone pressed the button."""
+        if message.data:
+            self.guard.fault("emergency stop")
+
+    def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """A person clears the latched fault; the next sample begins anew."""
+        reason = self.guard.fault_reason
+        response.success = reason is not None and self.active
+        response.message = f"cleared: {reason}" if response.success else "no fault" if self.active else "not active"
+        if response.success:
+            self.guard.clear()
+            self.watch.sequence = -1
+        return response
+
+    def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
+        """State for `diagnostics`."""
+        if not self.configured:
+            return None, "not configured", {}
+        values: dict[str, object] = {
+            "sequence": self.watch.sequence,
+            "lost": self.watch.lost,
+            "saturations": self.guard.saturations,
+            "rate_limits": self.guard.rate_limits,
+            "slowest_answer_us": round(self.slowest * 1e6),
+        }
+        fault = self.guard.fault_reason
+        if fault == DEACTIVATED:
+            return None, DEACTIVATED, values
+        return fault, "running" if self.active else "not active", values

@@ -1,0 +1,59 @@
+"""Watching the stream of samples that a node answers: lost ones, a restarted rig, a wrong sample rate."""
+
+from __future__ import annotations
+
+LONGEST_GAP = 5
+"""Lost samples in a row that a node may bridge; more are a fault."""
+
+
+class SampleWatch:
+    """Looks at each sample's number and stamp.
+
+    Parameters
+    ----------
+    sample_period
+        That the node is made for [s].
+    """
+
+    def __init__(self, sample_period: float) -> None:
+        self._period = sample_period * 1e9
+        self.sequence = -1
+        """Number of the last sample; -1: none yet."""
+        self._stamp = 0
+        self.lost = 0
+        """Samples lost so far."""
+        self.problem: str | None = None
+        """Why the last sample may not be answered as usual; None: all is well."""
+
+    def take(self, sequence: int, stamp: int) -> int:
+        """Look at a sample.
+
+        Parameters
+        ----------
+        sequence
+            Its number.
+        stamp
+            Its instant [ns].
+
+        Returns
+        -------
+        int
+            Samples lost just before it; -1 if the rig has started anew (so for the first sample that is seen).
+        """
+        last, self.sequence = self.sequence, sequence
+        elapsed, self._stamp = stamp - self._stamp, stamp
+        if last < 0 or sequence <= last:
+            self.problem = None
+            return -1
+        steps = sequence - last
+        self.lost += steps - 1
+        if steps - 1 > LONGEST_GAP:
+            self.problem = f"{steps - 1} samples lost before sample {sequence}, at most {LONGEST_GAP} can be bridged"
+        elif abs(elapsed - steps * self._period) > 0.5 * self._period:
+            self.problem = (
+                f"sample {sequence} comes {elapsed / steps * 1e-6:g} ms after the one before, "
+                f"expected {self._period * 1e-6:g} ms (sample rate)"
+            )
+        else:
+            self.problem = None
+        return steps - 1

@@ -1,0 +1,194 @@
+"""The node `ground_motion`: plays a record or white noise on the table, one value for each sample of the rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from geometry_msgs.msg import AccelStamped
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.task import Future
+from std_msgs.msg import Bool
+
+from abrace_core.errors import AbraceError
+from abrace_core.node import GROUND_MOTION_QOS, LATCHED_QOS, RESPONSE_QOS, AbraceLifecycleNode, Parameter, run
+from abrace_core.noise import banded_noise
+from abrace_core.sample_watch import SampleWatch
+from abrace_interfaces.action import PlayGroundMotion
+from abrace_interfaces.msg import Response
+from abrace_plant.ground_motion import prepare
+from abrace_plant.playback import Playback
+from abrace_plant.record_files import read_record
+
+WHITE_NOISE = "white_noise"
+FEEDBACK_EVERY = 50
+"""Samples between feedback messages: ten a second at 500 Hz."""
+
+PARAMETERS = [
+    Parameter("sample_rate", 500.0, "Hz, of the rig", minimum=1.0),
+    Parameter("record", "", "plays at once: a known name, white_noise, or a file; empty: wait for the action"),
+    Parameter("unit", "", "of a file that does not say it", choices=("", "g", "m/s^2", "cm/s^2")),
+    Parameter("record_sample_period", 0.0, "s, of a one-column file", minimum=0.0),
+    Parameter("peak_acceleration", 0.0, "m/s^2 that a record is scaled to; 0: as recorded", minimum=0.0),
+    Parameter("duration", 0.0, "s that a record is padded or cut to, or length of noise; 0: whole", minimum=0.0),
+    Parameter("band_limit", 25.0, "Hz, above which a record is cut off; 0: not at all", minimum=0.0),
+    Parameter("rms", 0.25, "m/s^2, of white noise", minimum=0.0),
+    Parameter("band", [0.0, 10.0], "Hz, of white noise", minimum=0.0),
+    Parameter("seed", 1, "of white noise", minimum=0),
+]
+
+
+class GroundMotion(AbraceLifecycleNode):
+    """Answers each sample with the ground acceleration of the next."""
+
+    def __init__(self) -> None:
+        super().__init__("ground_motion", PARAMETERS)
+        self.playback: Playback | None = None
+        self.finished = Future()
+        self.goal: ServerGoalHandle | None = None
+        self.stopped = False
+
+    def configure(self) -> None:
+        """Load the record that plays at once, make the topics and the action."""
+        given = self.parameters
+        self.watch = SampleWatch(1 / given.sample_rate)
+        self.first_motion = self.motion(given.record, given.peak_acceleration, given.duration) if given.record else None
+        self.message = AccelStamped()
+        self.message.header.frame_id = "table"
+        self.publisher = self.publish_on(AccelStamped, "ground_motion", GROUND_MOTION_QOS)
+        self.subscribe_to(Response, "response", self.on_response, RESPONSE_QOS)
+        self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
+        self.server = ActionServer(
+            self,
+            PlayGroundMotion,
+            "play_ground_motion",
+            execute_callback=self.on_play,
+            goal_callback=self.on_goal,
+            cancel_callback=self.on_cancel,
+        )
+
+    def motion(self, record: str, peak_acceleration: float, duration: float) -> np.ndarray:
+        """The ground motion (samples,) [m/s^2] at the rig's sample rate."""
+        given = self.parameters
+        if record != WHITE_NOISE:
+            source = read_record(record, given.unit or None, given.record_sample_period or None)
+            return prepare(source, given.sample_rate, peak_acceleration, duration, given.band_limit)
+        if duration == 0:
+            raise AbraceError("parameter duration: 0.0, expected the length of the white noise in seconds")
+        if len(given.band) != 2:
+            raise AbraceError(f"parameter band: {given.band}, expected two frequencies in Hz")
+        noise = banded_noise(
+            round(duration * given.sample_rate), given.sample_rate, tuple(given.band), given.rms, given.seed
+        )
+        return noise * (peak_acceleration / np.abs(noise).max()) if peak_acceleration else noise
+
+    def activate(self) -> None:
+        """Answer from the next sample on."""
+        self.playback = None
+
+    def deactivate(self) -> None:
+        """Cancel what plays; the answers go on until the table stands still."""
+        if self.playback is not None:
+            self.playback.cancel()
+
+    def on_response(self, response: Response) -> None:
+        """Answer a sample."""
+        if not self.active and (self.playback is None or self.playback.done):
+            return
+        stamp, sequence = response.header.stamp, response.sequence
+        if self.watch.take(sequence, stamp.sec * 10**9 + stamp.nanosec) < 0:
+            self.start_anew(sequence)
+        playback = self.playback
+        if self.watch.problem and playback is not None:
+            playback.cancel()
+        self.message.header.stamp = stamp
+        self.message.accel.linear.x = playback.answer(sequence) if playback is not None else 0.0
+        self.publisher.publish(self.message)
+        if playback is not None and self.goal is not None:
+            if playback.done:
+                self.end_goal()
+            elif sequence % FEEDBACK_EVERY == 0:
+                feedback = PlayGroundMotion.Feedback(elapsed=playback.elapsed, duration=playback.duration)
+                self.goal.publish_feedback(feedback)
+
+    def end_goal(self) -> None:
+        """Let `on_play` return its result."""
+        self.goal = None
+        self.finished.set_result(None)
+
+    def start_anew(self, sequence: int) -> None:
+        """The rig has started: what plays ends, and the record of the parameters begins."""
+        if self.playback is not None and self.goal is not None:
+            self.playback.cancelled = True
+            self.end_goal()
+        self.playback = None
+        if self.first_motion is not None and not self.stopped:
+            self.playback = Playback(self.first_motion, sequence + 1, self.parameters.sample_rate)
+
+    def on_goal(self, request: PlayGroundMotion.Goal) -> GoalResponse:
+        """Accept a motion when the rig runs and none plays."""
+        busy = self.playback is not None and not self.playback.done
+        if not self.active or busy or self.stopped:
+            reason = "emergency stop" if self.stopped else "a motion plays" if busy else "not active"
+            self.get_logger().error(f"play_ground_motion refused: {reason}")
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    def on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        """Bring the table smoothly to rest."""
+        if self.playback is not None:
+            self.playback.cancel()
+        return CancelResponse.ACCEPT
+
+    async def on_play(self, goal: ServerGoalHandle) -> PlayGroundMotion.Result:
+        """Play until the end or until cancelled."""
+        request = goal.request
+        try:
+            if not np.isfinite([request.peak_acceleration, request.duration]).all():
+                raise AbraceError("goal: peak_acceleration and duration have to be finite")
+            if request.peak_acceleration < 0 or request.duration < 0:
+                raise AbraceError("goal: peak_acceleration and duration have to be 0 or more")
+            if not request.record:
+                raise AbraceError("goal: record is empty, expected a known name or a file")
+            motion = self.motion(request.record, request.peak_acceleration, request.duration)
+        except AbraceError as error:
+            goal.abort()
+            return PlayGroundMotion.Result(success=False, message=str(error))
+        self.playback = Playback(motion, self.watch.sequence + 1, self.parameters.sample_rate)
+        self.goal, self.finished = goal, Future()
+        playback = self.playback
+        await self.finished
+        result = PlayGroundMotion.Result(success=not playback.cancelled, samples=playback.played)
+        if goal.is_cancel_requested:
+            goal.canceled()
+            result.message = f"cancelled after {playback.elapsed:g} s"
+        elif playback.cancelled:
+            goal.abort()
+            result.message = "stopped: the rig stopped or lost samples"
+        else:
+            goal.succeed()
+            result.message = f"played {Path(request.record).name}, {playback.duration:g} s"
+        return result
+
+    def on_emergency_stop(self, message: Bool) -> None:
+        """Someone pressed the button, or released it."""
+        self.stopped = message.data
+        if self.stopped and self.playback is not None:
+            self.playback.cancel()
+
+    def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
+        """State for `diagnostics`."""
+        playback = self.playback
+        if self.stopped:
+            return "emergency stop", "", {}
+        values: dict[str, object] = {"lost": self.watch.lost} if self.active else {}
+        if playback is None or playback.done:
+            return None, "ready" if self.active else "not active", values
+        values |= {"elapsed": playback.elapsed, "duration": playback.duration}
+        return None, "coming to rest" if playback.cancelled else "playing", values
+
+
+def main() -> int:
+    """Entry point."""
+    return run(GroundMotion)

@@ -1,0 +1,193 @@
+"""The node `plant`: a simulated rig that publishes and takes exactly what the real one does."""
+
+from __future__ import annotations
+
+import time
+from array import array
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import AccelStamped
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
+
+from abrace_core.node import (
+    COMMAND_QOS,
+    GROUND_MOTION_QOS,
+    LATCHED_QOS,
+    RESPONSE_QOS,
+    AbraceLifecycleNode,
+    Parameter,
+    find_file,
+    run,
+)
+from abrace_interfaces.msg import BraceCommand, Response
+from abrace_plant.rig_file import load_rig
+from abrace_plant.rig_loop import COMMAND, GROUND, RigLoop
+from abrace_plant.robot_description import joint_names, urdf
+from abrace_plant.schedule import LOOK_PERIOD, Schedule
+
+PARAMETERS = [
+    Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
+    Parameter("seed", 0, "seed of the sensor noise", minimum=0),
+    Parameter("duration", 0.0, "seconds to run, then end; 0: until stopped", minimum=0.0),
+    Parameter("command_timeout", 0.02, "seconds that an input may stay away while it is not zero", minimum=0.002),
+    Parameter("lockstep", False, "move on as soon as every input of wait_for has answered, not by the clock"),
+    Parameter(
+        "wait_for",
+        [COMMAND],
+        "inputs that answer every sample in lockstep",
+        choices=(COMMAND, GROUND),
+        required=True,
+    ),
+    Parameter("lockstep_timeout", 10.0, "seconds without an answer that end a lockstep run", minimum=0.1),
+]
+
+
+class Plant(AbraceLifecycleNode):
+    """Samples the simulated rig, by the clock or in lockstep with its inputs."""
+
+    loop: RigLoop
+
+    def __init__(self) -> None:
+        super().__init__("plant", PARAMETERS)
+
+    def configure(self) -> None:
+        """Load the rig and make the topics."""
+        given = self.parameters
+        self.rig = load_rig(find_file(given.rig, "abrace_plant", "config", ".yaml", "rig"))
+        self.floors, self.groups = self.rig.floors, self.rig.groups
+        self.response = self.publish_on(Response, "response", RESPONSE_QOS)
+        self.joint_states = self.create_publisher(JointState, "joint_states", 10)
+        self.description = self.create_publisher(String, "robot_description", LATCHED_QOS)
+        self.description.publish(String(data=urdf(self.rig)))
+        self.clock_publisher = self.create_publisher(Clock, "/clock", 10) if given.lockstep else None
+        self.inputs = {
+            COMMAND: self.subscribe_to(BraceCommand, COMMAND, self.on_command, COMMAND_QOS),
+            GROUND: self.subscribe_to(AccelStamped, GROUND, self.on_ground_motion, GROUND_MOTION_QOS),
+        }
+        self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
+        self.create_service(Trigger, "~/clear_fault", self.on_clear_fault)
+        self.message = Response()
+        self.message.header.frame_id = "table"
+        self.joints = JointState(name=list(joint_names(self.rig)))
+        self.start()
+
+    def start(self) -> None:
+        """Set the rig at rest, before sample 0."""
+        given = self.parameters
+        self.loop = RigLoop(self.rig, given.seed, given.command_timeout)
+        start = 0 if given.lockstep else self.get_clock().now().nanoseconds
+        self.schedule = Schedule(self.rig.sample_rate, start, time.monotonic(), given.duration)
+        self.next_look = 0.0
+
+    def activate(self) -> None:
+        """Start at sample 0."""
+        self.start()
+        self.due = time.monotonic()
+
+    def deactivate(self) -> None:
+        """Stop sampling."""
+        self.due = None
+
+    def tick(self) -> None:
+        """The next sample is due, or in lockstep: an answer is overdue."""
+        if not self.parameters.lockstep:
+            self.take_sample()
+        elif self.loop.sequence < 0:
+            matched = all(self.inputs[name].get_publisher_count() for name in self.parameters.wait_for)
+            if matched and self.response.get_subscription_count() >= len(self.parameters.wait_for):
+                self.take_sample()
+            else:
+                self.due = time.monotonic() + LOOK_PERIOD
+        else:
+            missing = [name for name in self.parameters.wait_for if not self.loop.answered(name)]
+            self.due = None
+            self.finish(
+                1,
+                f"no answer to sample {self.loop.sequence} on {', '.join(missing)} within "
+                f"{self.parameters.lockstep_timeout:g} s (lockstep_timeout)",
+            )
+
+    def take_sample(self) -> None:
+        """Step the rig, publish its response, set when to wake next."""
+        sample = self.loop.sample()
+        reading, floors, groups = sample.reading, self.floors, self.groups
+        message, stamp = self.message, self.schedule.stamp(sample.sequence)
+        message.header.stamp = Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
+        message.sequence = sample.sequence
+        message.displacement = array("d", reading[:floors])
+        message.stroke = array("d", reading[floors : floors + groups])
+        message.acceleration = array("d", reading[floors + groups : 2 * floors + groups])
+        message.force = array("d", reading[2 * floors + groups : -1])
+        message.command = array("d", sample.command)
+        message.ground_acceleration = float(reading[-1])
+        self.response.publish(message)
+        now = time.monotonic()
+        if now >= self.next_look:
+            self.next_look = now + LOOK_PERIOD
+            self.joints.header.stamp = message.header.stamp
+            self.joints.position = message.displacement
+            self.joint_states.publish(self.joints)
+            if self.clock_publisher is not None:
+                self.clock_publisher.publish(Clock(clock=message.header.stamp))
+        if self.schedule.is_last(sample.sequence):
+            self.due = None
+            self.finish(0, f"done: {sample.sequence + 1} samples")
+        elif self.parameters.lockstep:
+            self.due = now + self.parameters.lockstep_timeout
+        else:
+            self.due = self.schedule.next_due(sample.sequence, now)
+
+    def on_command(self, message: BraceCommand) -> None:
+        """A command answers a sample."""
+        if self.active:
+            self.loop.take_command(message.sequence, message.force)
+            self.move_on()
+
+    def on_ground_motion(self, message: AccelStamped) -> None:
+        """A ground acceleration answers a sample."""
+        if self.active:
+            stamp = message.header.stamp
+            sequence = self.schedule.sequence(stamp.sec * 10**9 + stamp.nanosec)
+            self.loop.take_ground_acceleration(sequence, message.accel.linear.x)
+            self.move_on()
+
+    def move_on(self) -> None:
+        """In lockstep: take the next sample when everything that is waited for has answered."""
+        if self.parameters.lockstep and self.due is not None and self.exit_code is None:
+            for name in self.parameters.wait_for:
+                if not self.loop.answered(name):
+                    return
+            self.take_sample()
+
+    def on_emergency_stop(self, message: Bool) -> None:
+        """Someone pressed the button."""
+        if message.data:
+            self.loop.emergency_stop()
+
+    def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """A person clears the latched fault."""
+        reason = self.loop.fault_reason
+        response.success = reason is not None
+        response.message = f"cleared: {reason}" if reason else "no fault"
+        if reason:
+            self.loop.clear_faults()
+        return response
+
+    def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
+        """State for `diagnostics`."""
+        if not self.configured:
+            return None, "not configured", {}
+        values: dict[str, object] = {
+            "sequence": self.loop.sequence,
+            "behind": self.schedule.behind,
+            **self.loop.counters(),
+        }
+        return self.loop.fault_reason, "running" if self.active else "not active", values
+
+
+def main() -> int:
+    """Entry point."""
+    return run(Plant)

@@ -1,0 +1,66 @@
+"""A prepared ground motion played sample by sample, and its smooth end when someone cancels it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+CANCEL_TIME = 0.5
+"""Seconds in which a cancelled motion goes to zero."""
+
+
+class Playback:
+    """Answers samples of the rig with the ground acceleration of the next sample.
+
+    Parameters
+    ----------
+    motion
+        (samples,) [m/s^2]; its first value is that of sample `first`.
+    first
+        Number of the sample at which the motion starts.
+    sample_rate
+        Hz.
+    """
+
+    def __init__(self, motion: NDArray[np.float64], first: int, sample_rate: float) -> None:
+        self._motion: list[float] = motion.tolist()
+        self._first = first
+        self._rate = sample_rate
+        self.played = 0
+        """Values of the motion played so far."""
+        self.cancelled = False
+
+    @property
+    def done(self) -> bool:
+        """Whether the last value has been played."""
+        return self.played >= len(self._motion)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds played."""
+        return self.played / self._rate
+
+    @property
+    def duration(self) -> float:
+        """Seconds in all."""
+        return len(self._motion) / self._rate
+
+    def answer(self, sequence: int) -> float:
+        """Ground acceleration [m/s^2] of the sample after `sequence`; zero before and after the motion."""
+        index = sequence + 1 - self._first
+        self.played = min(max(index + 1, self.played), len(self._motion))
+        return self._motion[index] if 0 <= index < len(self._motion) else 0.0
+
+    def cancel(self) -> None:
+        """From the next answer on, go from the last value to zero along a half cosine."""
+        if self.cancelled or self.done:
+            return
+        self.cancelled = True
+        steps = round(CANCEL_TIME * self._rate)
+        start = self._motion[self.played - 1] if self.played else 0.0
+        ramp = start * (1 + np.cos(np.pi * np.arange(1, steps + 1) / steps)) / 2
+        self._motion[self.played :] = ramp.tolist()

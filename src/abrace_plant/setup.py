@@ -1,0 +1,26 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+setup(
+    name="abrace_plant",
+    version="0.1.0",
+    packages=find_packages(),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/abrace_plant"]),
+        ("share/abrace_plant", ["package.xml"]),
+        ("share/abrace_plant/config", sorted(glob("config/*.yaml"))),
+    ],
+    zip_safe=True,
+    maintainer="abrace developers",
+    maintainer_email="maintainers@abrace.example.org",
+    description="The laboratory: building, braces, shake-table records, sensors, and the nodes that run or simulate them.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "plant = abrace_plant.nodes.plant:main",
+            "ground_motion = abrace_plant.nodes.ground_motion:main",
+            "logger = abrace_plant.nodes.logger:main",
+        ]
+    },
+)

@@ -1,0 +1,23 @@
+from setuptools import find_packages, setup
+
+setup(
+    name="abrace_sysid",
+    version="0.1.0",
+    packages=find_packages(),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/abrace_sysid"]),
+        ("share/abrace_sysid", ["package.xml"]),
+    ],
+    zip_safe=True,
+    maintainer="abrace developers",
+    maintainer_email="maintainers@abrace.example.org",
+    description="From bags of white-noise tests to state-space models: excitation, identification, validation.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "excitation = abrace_sysid.nodes.excitation:main",
+            "identify = abrace_sysid.nodes.identify:main",
+            "validate = abrace_sysid.nodes.validate:main",
+        ]
+    },
+)
