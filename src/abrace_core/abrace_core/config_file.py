@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import pydantic
 import yaml
 
 from abrace_core.errors import AbraceError
 
+if TYPE_CHECKING:
+    from collections.abc import Hashable
+
 
 class Checked(pydantic.BaseModel):
     """Base of every file schema: unknown keys, NaN and infinity are refused, and nothing changes after reading."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class _UniqueKeys(yaml.SafeLoader):
+    """YAML whose mappings have each key once; plain YAML lets the last one win in silence."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", node.start_mark)
+        return super().construct_mapping(node, deep)
 
 
 Schema = TypeVar("Schema", bound=Checked)
@@ -29,7 +43,7 @@ def read_config(path: Path | str, schema: type[Schema], kind: str) -> Schema:
         `<kind> file <path>: <key>: <value>, expected ...`, for the first mistake found.
     """
     try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        content = yaml.load(Path(path).read_text(encoding="utf-8"), _UniqueKeys)  # a safe loader
     except OSError as error:
         raise AbraceError(f"{kind} file {path}: {error.strerror}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:

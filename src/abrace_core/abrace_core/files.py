@@ -33,7 +33,8 @@ def write_beside(path: Path | str) -> Iterator[Path]:
     except OSError as error:
         raise AbraceError(f"cannot write {path}: {error.strerror}") from error
     finally:
-        beside.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            beside.unlink()
 
 
 def write_text(path: Path | str, text: str) -> None:

@@ -62,7 +62,9 @@ class LinearModel:
     def __post_init__(self) -> None:
         n, m, p = len(self.a), len(self.inputs), len(self.outputs)
         for name, shape in (("a", (n, n)), ("b", (n, m)), ("c", (p, n)), ("d", (p, m))):
-            matrix = np.asarray(getattr(self, name), dtype=np.float64).reshape(shape if n == 0 else (-1, shape[1]))
+            matrix = np.asarray(getattr(self, name), dtype=np.float64)
+            if matrix.size == 0 and 0 in shape:
+                matrix = np.zeros(shape)
             if matrix.shape != shape:
                 raise AbraceError(f"model matrix {name}: shape {matrix.shape}, expected {shape}")
             if not np.isfinite(matrix).all():
@@ -87,9 +89,9 @@ class LinearModel:
 
     def poles(self) -> NDArray[np.complex128]:
         """Continuous poles [rad/s], slowest first; those of a discrete model are mapped back by log(z)/T."""
-        poles: NDArray[np.complex128] = linalg.eigvals(self.a).astype(np.complex128)
+        poles = np.asarray(linalg.eigvals(self.a), dtype=np.complex128)
         if self.sample_period:
-            poles = np.log(poles) / self.sample_period
+            poles = np.asarray(np.log(poles) / self.sample_period)
         return poles[np.argsort(np.abs(poles), kind="stable")]
 
     def is_stable(self) -> bool:
@@ -185,11 +187,8 @@ def load_model(path: Path | str) -> LinearModel:
     if not isinstance(content, dict) or content.get("format") != FILE_FORMAT:
         raise AbraceError(f"model file {path}: expected a JSON object with format {FILE_FORMAT!r}")
     try:
-        n, m, p = len(content["a"]), len(content["inputs"]), len(content["outputs"])
-        shapes = {"a": (n, n), "b": (n, m), "c": (p, n), "d": (p, m)}
-        matrices = {key: np.asarray(content[key], dtype=np.float64).reshape(shapes[key]) for key in shapes}
         return LinearModel(
-            **matrices,
+            **{key: np.asarray(content[key], dtype=np.float64) for key in "abcd"},
             inputs=tuple(content["inputs"]),
             outputs=tuple(content["outputs"]),
             sample_period=float(content["sample_period"]),

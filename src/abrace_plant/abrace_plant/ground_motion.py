@@ -51,8 +51,8 @@ def prepare(
         [s]; a shorter motion is followed by zeros, a longer one is cut and fades out over its last 0.5 s. 0: the
         whole record.
     band_limit
-        Frequency beyond which nothing is left [Hz]; below 0.8 times it the motion is unchanged within 1e-5. At most
-        half of the record's and of the rig's sample rate; 0: just that, and no filter where the two are equal.
+        Frequency beyond which nothing is left [Hz]; below 0.8 times it the motion is unchanged within 1e-5. 0, or more
+        than half of the record's or of the rig's sample rate: that half, and no filter where the two rates are equal.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def prepare(
     Raises
     ------
     AbraceError
-        If an argument is negative, not finite, or asks for more than the record holds.
+        If an argument is negative or not finite, or a peak is asked of a record of zeros.
     """
     asked = {
         "sample_rate": sample_rate,
@@ -105,17 +105,12 @@ def _resample(record: Record, sample_rate: float, band_limit: float, samples: in
         )
     up, down = ratio.numerator, ratio.denominator
     held = min(1 / record.sample_period, sample_rate) / 2
-    if band_limit > held * (1 + 1e-9):
-        raise AbraceError(
-            f"ground motion {record.name}: band_limit {band_limit:g} Hz, expected at most {held:g} Hz "
-            "(half of the slower sample rate)"
-        )
+    limit = min(band_limit or held, held)
     needed = -(-samples * down // up) + 1
     padded = np.zeros(max(needed, len(record.acceleration)))
     padded[: len(record.acceleration)] = record.acceleration
-    if up == down == 1 and not band_limit:
+    if up == down == 1 and limit == held:
         return padded[:samples]
-    limit = band_limit or held
     rate = up / record.sample_period
     length, beta = signal.kaiserord(STOPBAND, (1 - UNCHANGED) * limit / (rate / 2))
     # half the kernel is a whole number of output samples, which are then dropped: no delay is left

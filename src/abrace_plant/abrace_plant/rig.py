@@ -215,8 +215,8 @@ class Rig:
 class RigMotion:
     """The rig moving sample by sample, saturated at its capacity.
 
-    Linear motion is exact. The force of an actuator at its capacity is cut there at each sample (a projection,
-    convergent with the first power of the sample period).
+    Linear motion is exact. The force of an actuator at its capacity is cut there at each sample (a projection, whose
+    error falls with the sample period, with its first power once the period is well below the servo's lag).
     """
 
     def __init__(self, rig: Rig) -> None:

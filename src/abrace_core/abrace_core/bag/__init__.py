@@ -1,0 +1,23 @@
+"""Bags: MCAP files in rosbag2's layout, the record of what happened.
+
+A bag is a directory that `ros2 bag`, `mcap` and `rosbags` read, with the run's facts in it. It is written message by
+message (`BagWriter`), and read back whole topics at a time as arrays (`read_topics`) or as a test of the rig
+(`read_run`), also when the process that wrote it was killed.
+"""
+
+from abrace_core.bag.definitions import MessageDefinition, message_definition
+from abrace_core.bag.reader import BagContents, TopicArrays, read_facts, read_topics
+from abrace_core.bag.run import read_run
+from abrace_core.bag.writer import BagWriter, offered_qos
+
+__all__ = [
+    "BagContents",
+    "BagWriter",
+    "MessageDefinition",
+    "TopicArrays",
+    "message_definition",
+    "offered_qos",
+    "read_facts",
+    "read_run",
+    "read_topics",
+]

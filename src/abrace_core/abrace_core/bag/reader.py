@@ -1,0 +1,179 @@
+"""Bags to arrays: whole topics at a time, from our bags and rosbag2's, also when they were cut off."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+
+from abrace_core.bag.cdr import decode
+from abrace_core.bag.mcap_file import McapFile, read_facts_record
+from abrace_core.bag.ros2msg import parse_message_type
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+
+    from numpy.typing import NDArray
+
+    from abrace_core.bag.stream import Channel, Stream
+
+
+@dataclass(frozen=True)
+class TopicArrays:
+    """All messages of one topic, in the order in which they were logged.
+
+    Parameters
+    ----------
+    type_name
+        As `abrace_interfaces/msg/Response`.
+    fields
+        By field, nested names joined by dots: (messages, ...) numbers or str. An array of objects, one a message, where
+        the messages' shapes differ.
+    log_time, publish_time
+        (messages,) [ns].
+    """
+
+    type_name: str
+    fields: dict[str, NDArray[Any]]
+    log_time: NDArray[np.int64]
+    publish_time: NDArray[np.int64]
+
+
+class BagContents(dict[str, TopicArrays]):
+    """Topics of a bag by name.
+
+    Parameters
+    ----------
+    topics
+        What was read.
+    facts
+        What the bag says of its run; empty where it says nothing.
+    warnings
+        What is missing or can't be trusted, one sentence each; empty where all is well.
+    """
+
+    def __init__(self, topics: dict[str, TopicArrays], facts: dict[str, str], warnings: tuple[str, ...]) -> None:
+        super().__init__(topics)
+        self.facts = facts
+        self.warnings = warnings
+
+
+def read_topics(bag: Path | str, topics: Collection[str] | None = None) -> BagContents:
+    """Read whole topics of a bag.
+
+    Parameters
+    ----------
+    bag
+        A bag directory or a single MCAP file.
+    topics
+        Names of the topics to read; all when None.
+
+    Returns
+    -------
+    BagContents
+        The topics, with the run's facts and what is missing.
+
+    Raises
+    ------
+    AbraceError
+        If there is no such bag, it isn't one, a topic asked for is not in it, or messages do not fit their definition.
+    """
+    contents = read_selected(bag, lambda channel: topics is None or channel.topic in topics)
+    missing = sorted(set(topics or ()) - set(contents))
+    if missing:
+        why = f" ({'; '.join(contents.warnings)})" if contents.warnings else ""
+        raise AbraceError(f"{bag}: no topic {missing[0]} in it{why}")
+    return contents
+
+
+def read_selected(bag: Path | str, wanted: Callable[[Channel], bool]) -> BagContents:
+    """Read the topics of a bag whose channels are wanted: `read_topics` by more than a name."""
+    files = [McapFile(path, wanted) for path in _files(Path(bag))]
+    warnings = _missing_files(Path(bag)) + [warning for file in files for warning in file.warnings]
+    facts = next((file.facts for file in files if file.facts is not None), {})
+    parts: dict[str, list[tuple[Channel, Stream | None]]] = {}
+    for file in files:
+        for number, channel in file.channels.items():
+            if wanted(channel):
+                parts.setdefault(channel.topic, []).append((channel, file.streams.get(number)))
+    contents = {}
+    for topic, found in parts.items():
+        try:
+            contents[topic] = _topic(found)
+        except AbraceError as error:
+            warnings.append(f"{bag}: topic {topic} is left out: it {error}")
+    return BagContents(contents, facts, tuple(warnings))
+
+
+def read_facts(bag: Path | str) -> dict[str, str]:
+    """What a bag says of its run: rig, controller, record, versions. Empty where it says nothing.
+
+    Raises
+    ------
+    AbraceError
+        If there is no such bag, it isn't one, or its facts are damaged.
+    """
+    return next((facts for facts in map(read_facts_record, _files(Path(bag))) if facts is not None), {})
+
+
+def _files(bag: Path) -> list[Path]:
+    try:
+        there = bag.exists()
+    except OSError as error:
+        raise AbraceError(f"{bag}: {error.strerror}") from error
+    if not there:
+        raise AbraceError(f"{bag}: no such bag, expected a bag directory or an MCAP file")
+    if not bag.is_dir():
+        return [bag]
+
+    def place(path: Path) -> list[int | str]:
+        return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
+
+    files = sorted(bag.glob("*.mcap"), key=place)
+    if not files:
+        raise AbraceError(f"{bag}: no MCAP file in it, expected a bag directory")
+    return files
+
+
+def _missing_files(bag: Path) -> list[str]:
+    """Files that the bag's metadata.yaml names and that are not there."""
+    path = bag / "metadata.yaml"
+    if not path.is_file():
+        return []
+    try:
+        named = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]["relative_file_paths"]
+        return [f"{bag}: {name} is missing" for name in named if not (bag / Path(name).name).is_file()]
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError) as error:
+        return [f"{path}: can't be read ({' '.join(str(error).split())})"]
+
+
+def _topic(found: list[tuple[Channel, Stream | None]]) -> TopicArrays:
+    """All messages of one topic, from each file and channel that has some."""
+    channel = found[0][0]
+    for other, _ in found:
+        if (other.type_name, other.definition) != (channel.type_name, channel.definition):
+            raise AbraceError(f"has messages of {channel.type_name} and another {other.type_name}, expected one")
+        if (other.message_encoding, other.schema_encoding) != ("cdr", "ros2msg"):
+            encodings = f"{other.message_encoding!r} described by {other.schema_encoding!r}"
+            raise AbraceError(f"is written as {encodings}, expected 'cdr' described by 'ros2msg'")
+    message_type = parse_message_type(channel.type_name, channel.definition)
+    streams = [stream for _, stream in found if stream is not None]
+    first = 0
+    payloads = []
+    for stream in streams:
+        payloads += [(numbers + first, block) for numbers, block in stream.payloads()]
+        first += stream.count
+    fields = decode(message_type, payloads)
+    none = [np.empty(0, np.int64)]
+    log_time = np.concatenate(none + [stream.log_time for stream in streams])
+    publish_time = np.concatenate(none + [stream.publish_time for stream in streams])
+    if len(streams) > 1:
+        order = np.argsort(log_time, kind="stable")
+        fields = {name: values[order] for name, values in fields.items()}
+        log_time, publish_time = log_time[order], publish_time[order]
+    return TopicArrays(channel.type_name, fields, log_time, publish_time)

@@ -1,0 +1,73 @@
+"""Banded white noise: what the identification tests play to the table and to the braces (Figs. 3 to 5 of the paper)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import fft
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+TAPER = 1.0
+"""Seconds over which the noise rises from zero and falls to it."""
+
+
+def banded_noise(
+    samples: int, sample_rate: float, band: tuple[float, float], rms: float, seed: int
+) -> NDArray[np.float64]:
+    """Gaussian noise with a flat spectrum in a band and nothing outside, the same for the same seed.
+
+    Parameters
+    ----------
+    samples
+        Length, at least twice the taper of 1 s.
+    sample_rate
+        [Hz].
+    band
+        Lowest and highest frequency [Hz], 0 <= lowest < highest < sample_rate / 2. The mean is left out even where the
+        lowest is 0.
+    rms
+        Root mean square over the whole length, tapers included, in the noise's unit; met exactly.
+    seed
+        Of the generator, >= 0.
+
+    Returns
+    -------
+    NDArray
+        (samples,), zero at both ends. The tapers spread the band's edges by about 1 / TAPER [Hz].
+
+    Raises
+    ------
+    AbraceError
+        If an argument is outside these limits, or the band lies between two lines of the spectrum.
+    """
+    low, high = band
+    if not (np.isfinite(sample_rate) and sample_rate > 0):
+        raise AbraceError(f"noise sample_rate {sample_rate} Hz: expected more than 0")
+    if not 0 <= low < high < sample_rate / 2:
+        raise AbraceError(f"noise band {low} to {high} Hz: expected 0 <= lowest < highest < {sample_rate / 2:g} Hz")
+    if not (np.isfinite(rms) and rms > 0):
+        raise AbraceError(f"noise rms {rms}: expected more than 0")
+    if seed < 0:
+        raise AbraceError(f"noise seed {seed}: expected 0 or more")
+    taper = round(TAPER * sample_rate)
+    if samples < max(2 * taper, 2):
+        raise AbraceError(f"noise of {samples / sample_rate:g} s: expected at least {2 * TAPER:g} s (taper in and out)")
+
+    length = fft.next_fast_len(samples, real=True)
+    frequencies = fft.rfftfreq(length, 1 / sample_rate)
+    lines = np.flatnonzero((frequencies >= low) & (frequencies <= high) & (frequencies > 0))
+    if not len(lines):
+        raise AbraceError(f"noise band {low} to {high} Hz: expected one wider than {sample_rate / length:.3g} Hz")
+    spectrum = np.zeros(len(frequencies), dtype=np.complex128)
+    real, imaginary = np.random.default_rng(seed).standard_normal((2, len(lines)))
+    spectrum[lines] = real + 1j * imaginary
+    noise = np.asarray(fft.irfft(spectrum, length), dtype=np.float64)[:samples]
+    rise = (1 - np.cos(np.pi * np.arange(taper) / max(taper, 1))) / 2
+    noise[:taper] *= rise
+    noise[samples - taper :] *= rise[::-1]
+    return noise * (rms / np.sqrt(np.mean(noise**2)))
