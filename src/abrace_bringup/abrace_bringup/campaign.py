@@ -1,0 +1,294 @@
+"""Runs a campaign: the live tests of the rig, and the offline steps between them, each node a process of its own.
+
+Bags go to `bags/NAME/TIME/STEP`, never over an earlier one; results go to `results/NAME`, which is made anew.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from abrace_bringup.campaign_file import (
+    BandedNoise,
+    Campaign,
+    Design,
+    Identify,
+    Record,
+    RigTest,
+    Validate,
+    WhiteNoise,
+    load_campaign,
+)
+from abrace_bringup.onlooker import Onlooker
+from abrace_bringup.parameters import parameter_file
+from abrace_bringup.processes import ProcessGroup, find_executable
+from abrace_bringup.progress import Progress
+from abrace_core.errors import AbraceError
+from abrace_core.files import write_text
+from abrace_core.linear_model import pole_table
+from abrace_core.node import find_file
+from abrace_plant.rig_file import load_rig
+
+if TYPE_CHECKING:
+    from abrace_bringup.progress import Step as ShownStep
+    from abrace_plant.rig import Rig
+
+PATIENCE = 30.0
+"""Seconds in which the nodes of a test have to start and find each other."""
+STUCK = 30.0
+"""Seconds without a new sample that end a test."""
+SEED = 7
+"""Seed of the first test's sensor noise; each later test takes the next one."""
+LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+"""Campaigns on the simulated rig stay on this machine, unless the environment says otherwise."""
+
+
+@dataclass
+class Runner:
+    """One campaign on its way."""
+
+    campaign: Campaign
+    rig: Rig
+    rig_file: Path
+    results: Path
+    bags: Path
+    timing: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What the nodes' environment has beside ours."""
+        single = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        return {**{key: value for key, value in LOCAL.items() if key not in os.environ}, **single}
+
+    def start(self, group: ProcessGroup, step: str, package: str, executable: str, parameters: dict[str, Any]) -> None:
+        """Start a node with these parameters."""
+        folder = self.results / "nodes"
+        parameters_path = parameter_file(folder / f"{step}_{executable}.yaml", parameters)
+        command: list[str | Path] = [
+            find_executable(package, executable),
+            "--ros-args",
+            "--params-file",
+            parameters_path,
+        ]
+        command += ["-r", f"__ns:=/{self.campaign.name}"]
+        if executable == "controller":
+            command += ["--params-file", self.controller_file(parameters["name"])]
+        group.start(executable, command, folder / f"{step}_{executable}.log", self.environment)
+
+    def controller_file(self, step: str) -> Path:
+        """Where a design step puts its controller."""
+        return self.results / step / f"{step}.yaml"
+
+    def run_test(self, name: str, test: RigTest, seed: int, shown: ShownStep) -> dict[str, Any]:
+        """Run the live graph and record it; returns the step's timing."""
+        lockstep = self.campaign.lockstep
+        inputs: dict[str, str] = {}
+        nodes: list[tuple[str, str, dict[str, Any]]] = []
+        rate, duration = self.rig.sample_rate, test.duration
+        if test.excitation:
+            inputs["brace_command"] = "excitation"
+            drive = {**_noise(test.excitation), "duration": duration, "sample_rate": rate}
+            nodes.append(("abrace_sysid", "excitation", {**drive, "force_limit": self.rig.capacity.tolist()}))
+        if test.controller:
+            inputs["brace_command"] = "controller"
+            nodes.append(("abrace_lqg", "controller", {"name": test.controller}))
+        if test.ground_motion:
+            inputs["ground_motion"] = "ground_motion"
+            motion = _motion(test.ground_motion)
+            nodes.append(("abrace_plant", "ground_motion", {**motion, "duration": duration, "sample_rate": rate}))
+        if lockstep and not inputs:
+            raise AbraceError(f"step {name}: a lockstep test without any input, expected ground motion or commands")
+        topics = ["response", *inputs, "diagnostics"]
+        bag = self.bags / name
+        facts = self.facts(name, test, seed)
+        logger = {"output": str(bag), "topics": topics, "facts": [f"{key}={value}" for key, value in facts.items()]}
+        plant = {
+            "rig": str(self.rig_file),
+            "seed": seed,
+            "duration": duration,
+            "lockstep": lockstep,
+            "wait_for": list(inputs) or ["brace_command"],
+            "autostart": False,
+        }
+        listeners = len(inputs) + 1
+        expected = {
+            "plant": {"subscribers of response": listeners, **{f"publishers of {topic}": 1 for topic in inputs}},
+            "logger": {f"publishers of {topic}": 1 for topic in ("response", *inputs)},
+        }
+        for topic, node in inputs.items():
+            expected[node] = {"publishers of response": 1, f"subscribers of {topic}": 2}
+        samples = round(duration * rate)
+        with ProcessGroup() as group, Onlooker(f"/{self.campaign.name}") as onlooker:
+            self.start(group, name, "abrace_plant", "logger", logger)
+            self.start(group, name, "abrace_plant", "plant", plant)
+            for package, executable, parameters in nodes:
+                self.start(group, name, package, executable, parameters)
+            onlooker.configure("plant", PATIENCE, group.raise_if_died)
+            onlooker.wait_until_matched(expected, PATIENCE, group.raise_if_died)
+            onlooker.activate("plant", PATIENCE, group.raise_if_died)
+            run_seconds = self.watch(group, onlooker, samples, shown)
+            group.stop_all([*inputs.values(), "plant", "logger"])
+        return {"samples": samples, "run_seconds": run_seconds}
+
+    def watch(self, group: ProcessGroup, onlooker: Onlooker, samples: int, shown: ShownStep) -> float:
+        """Show a test's progress until the plant is done; returns its seconds."""
+        begin = last_news = time.monotonic()
+        last_sequence = -1
+        while (ended := group.poll()) is None:
+            onlooker.look()
+            for node, fault in onlooker.faults.items():
+                raise AbraceError(f"{node}: {fault}")
+            now = time.monotonic()
+            sequence = int(onlooker.values.get("plant", {}).get("sequence", -1))
+            if sequence > last_sequence:
+                last_sequence, last_news = sequence, now
+                speed = (sequence + 1) / self.rig.sample_rate / max(now - begin, 1e-9)
+                shown.update((sequence + 1) / samples, f"{speed:.1f} x real time")
+            elif now - last_news > STUCK:
+                raise AbraceError(f"no new sample for {STUCK:g} s, the last one was {last_sequence}")
+        group.raise_if_died(may_finish=["plant"])
+        if ended.name != "plant":
+            raise ended.died()
+        seconds = time.monotonic() - begin
+        shown.update(1.0, f"{samples / self.rig.sample_rate / seconds:.1f} x real time")
+        return seconds
+
+    def run_offline(self, name: str, package: str, executable: str, parameters: dict[str, Any]) -> None:
+        """Run an offline node to its end."""
+        with ProcessGroup() as group:
+            self.start(group, name, package, executable, parameters)
+            while group.poll() is None:
+                time.sleep(0.05)
+            group.raise_if_died(may_finish=[executable])
+
+    def run_step(self, number: int, name: str, task: object, shown: ShownStep) -> dict[str, Any]:
+        """Run one step; returns what its timing says beside the wall time."""
+        output = self.results / name
+        limit = self.rig.capacity.tolist()
+        match task:
+            case RigTest():
+                return self.run_test(name, task, SEED + number, shown)
+            case Identify(table=table, command=command):
+                lag = self.rig.braces[0].actuator.lag
+                self.run_offline(
+                    name,
+                    "abrace_sysid",
+                    "identify",
+                    {
+                        "table": str(self.bags / table),
+                        "command": str(self.bags / command),
+                        "output": str(output),
+                        "servo_lag": lag,
+                    },
+                )
+                self.add_true_poles(output / "poles.json")
+            case Design(model=model, weights=weights):
+                self.run_offline(
+                    name,
+                    "abrace_lqg",
+                    "design",
+                    {
+                        "model": str(self.results / model / "reduced.json"),
+                        "check_models": [str(self.results / model / "model.json")],
+                        "weights": weights,
+                        "sample_period": 1 / self.rig.sample_rate,
+                        "force_limit": limit,
+                        "output": str(self.controller_file(name)),
+                    },
+                )
+            case Validate(test=test, uncontrolled=uncontrolled, model=model, controller=controller):
+                self.run_offline(
+                    name,
+                    "abrace_sysid",
+                    "validate",
+                    {
+                        "bag": str(self.bags / test),
+                        "uncontrolled": str(self.bags / uncontrolled),
+                        "model": str(self.results / model / "model.json"),
+                        "controller": str(self.controller_file(controller)),
+                        "output": str(output),
+                    },
+                )
+                shutil.copy(output / "comparison.json", self.results / "comparison.json")
+        return {}
+
+    def add_true_poles(self, path: Path) -> None:
+        """Set the rig's own poles beside the identified ones, in the campaign's poles.json."""
+        identified = json.loads(path.read_text(encoding="utf-8"))
+        own = [
+            {"frequency": frequency, "damping_ratio": damping}
+            for frequency, damping in pole_table(self.rig.model.poles())
+        ]
+        poles = {test: {"identified": pairs, "true": own[: len(pairs)]} for test, pairs in identified.items()}
+        write_text(self.results / "poles.json", json.dumps(poles, indent=1))
+
+    def facts(self, name: str, test: RigTest, seed: int) -> dict[str, str]:
+        """What a test's bag says of its run."""
+        facts = {
+            "campaign": self.campaign.name,
+            "step": name,
+            "abrace": version("abrace_bringup"),
+            "rig": self.rig.name,
+            "rig_file": self.rig_file.read_text(encoding="utf-8"),
+            "sample_period": repr(1 / self.rig.sample_rate),
+            "lockstep": str(self.campaign.lockstep).lower(),
+            "sensor_seed": str(seed),
+            "controller": test.controller or "",
+        }
+        if test.controller:
+            facts["controller_file"] = self.controller_file(test.controller).read_text(encoding="utf-8")
+        for key in ("ground_motion", "excitation"):
+            given = getattr(test, key)
+            if given is not None:
+                facts[key] = json.dumps(given.model_dump())
+        if isinstance(test.ground_motion, Record):
+            facts["record"] = test.ground_motion.record
+            facts["peak_acceleration"] = repr(test.ground_motion.peak_acceleration)
+        return facts
+
+    def write_timing(self) -> None:
+        """Write the campaign's timing.json."""
+        timing = {"lockstep": self.campaign.lockstep, "sample_rate": self.rig.sample_rate, "steps": self.timing}
+        write_text(self.results / "timing.json", json.dumps(timing, indent=1))
+
+
+def _noise(noise: BandedNoise) -> dict[str, Any]:
+    return {"rms": noise.rms, "band": list(noise.band), "seed": noise.seed}
+
+
+def _motion(motion: WhiteNoise | Record) -> dict[str, Any]:
+    if isinstance(motion, WhiteNoise):
+        return {"record": motion.record, **_noise(motion)}
+    return {"record": motion.record, "peak_acceleration": motion.peak_acceleration}
+
+
+def run_campaign(path: Path) -> Path:
+    """Run every step of a campaign file; returns the folder of its results.
+
+    Raises
+    ------
+    AbraceError
+        If the file is wrong, a node dies or refuses, or a step fails.
+    """
+    campaign = load_campaign(path)
+    rig_file = find_file(campaign.rig, "abrace_plant", "config", ".yaml", "rig").resolve()
+    results = Path("results") / campaign.name
+    bags = Path("bags") / campaign.name / datetime.now().strftime("%Y%m%d-%H%M%S")
+    shutil.rmtree(results, ignore_errors=True)
+    results.mkdir(parents=True)
+    runner = Runner(campaign, load_rig(rig_file), rig_file, results, bags)
+    progress = Progress(len(campaign.steps))
+    for number, step in enumerate(campaign.steps):
+        with progress.step(step.name) as shown:
+            begin = time.monotonic()
+            more = runner.run_step(number, step.name, step.task, shown)
+            runner.timing.append({"name": step.name, "wall_seconds": time.monotonic() - begin, **more})
+            runner.write_timing()
+    return results

@@ -1,0 +1,235 @@
+"""The campaign file: YAML that lists tests, identifications, designs and comparisons, one after the other."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+
+import pydantic
+
+from abrace_core.config_file import Checked, read_config
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+Positive = Annotated[float, pydantic.Field(gt=0, strict=True)]
+NonNegative = Annotated[float, pydantic.Field(ge=0, strict=True)]
+Text = Annotated[str, pydantic.Field(min_length=1)]
+
+WHITE_NOISE = "white_noise"
+_FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+
+
+def _file_name(name: str) -> str:
+    if not _FILE_NAME.fullmatch(name):
+        raise ValueError("up to 64 letters, digits, _ and -, a letter or digit first")
+    return name
+
+
+Name = Annotated[str, pydantic.AfterValidator(_file_name)]
+
+
+def _rising(band: tuple[float, float]) -> tuple[float, float]:
+    if not band[0] < band[1]:
+        raise ValueError("two frequencies in Hz, the lower one first")
+    return band
+
+
+class BandedNoise(Checked):
+    """Banded white noise: rms in the unit of what it drives, band [Hz], seed."""
+
+    rms: Positive
+    band: Annotated[tuple[NonNegative, NonNegative], pydantic.AfterValidator(_rising)]
+    seed: Annotated[int, pydantic.Field(ge=0, strict=True)]
+
+
+class WhiteNoise(BandedNoise):
+    """A table motion of banded white noise: rms [m/s^2]."""
+
+    record: Literal["white_noise"]
+
+
+class Record(Checked):
+    """A table motion from a record, which is a name or a file: peak acceleration [m/s^2], 0: as recorded."""
+
+    record: Text
+    peak_acceleration: NonNegative = 0.0
+
+
+def _motion_kind(content: object) -> str:
+    record = content.get("record") if isinstance(content, dict) else getattr(content, "record", None)
+    return WHITE_NOISE if record == WHITE_NOISE else "record"
+
+
+GroundMotion = Annotated[
+    Annotated[WhiteNoise, pydantic.Tag(WHITE_NOISE)] | Annotated[Record, pydantic.Tag("record")],
+    pydantic.Discriminator(_motion_kind),
+]
+
+
+class RigTest(Checked):
+    """A run of the live graph, recorded to a bag: duration [s], excitation of the braces [N], or a design to run."""
+
+    duration: Positive
+    ground_motion: GroundMotion | None = None
+    excitation: BandedNoise | None = None
+    controller: Text | None = None
+
+
+class Identify(Checked):
+    """A model from the bags of two tests: of the table alone, and of the command alone."""
+
+    table: Text
+    command: Text
+
+
+class Design(Checked):
+    """A controller from a model, with weights that are a name or a file."""
+
+    model: Text
+    weights: Text
+
+
+class Validate(Checked):
+    """A controlled test against its simulation by a model, and against the same test without control."""
+
+    test: Text
+    uncontrolled: Text
+    model: Text
+    controller: Text
+
+
+Task = RigTest | Identify | Design | Validate
+
+
+class _Step(Checked):
+    name: Name
+    test: RigTest | None = None
+    identify: Identify | None = None
+    design: Design | None = None
+    validation: Annotated[Validate | None, pydantic.Field(alias="validate")] = None
+
+    def tasks(self) -> list[Task]:
+        return [task for task in (self.test, self.identify, self.design, self.validation) if task is not None]
+
+
+class _Campaign(Checked):
+    name: Name
+    rig: Text
+    lockstep: Annotated[bool, pydantic.Field(strict=True)] = False
+    steps: Annotated[list[_Step], pydantic.Field(min_length=1)]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a campaign: its name, which names its files too, and what is to be done."""
+
+    name: str
+    task: Task
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign.
+
+    Parameters
+    ----------
+    name
+        Names the folder of the results.
+    rig
+        A rig's name or file.
+    lockstep
+        Whether tests run in lockstep rather than in real time.
+    steps
+        In the order in which they are made.
+    """
+
+    name: str
+    rig: str
+    lockstep: bool
+    steps: tuple[Step, ...]
+
+
+def load_campaign(path: Path | str) -> Campaign:
+    """Read and check a campaign file.
+
+    Raises
+    ------
+    AbraceError
+        Naming the file, the step, the key, the value and what was expected.
+    """
+    content = read_config(path, _Campaign, "campaign")
+    earlier: dict[str, Task] = {}
+    for step in content.steps:
+        where = f"campaign file {path}: step {step.name}"
+        if step.name in earlier:
+            raise AbraceError(f"{where}: name: {step.name!r}, expected a name that no earlier step has")
+        tasks = step.tasks()
+        if len(tasks) != 1:
+            raise AbraceError(f"{where}: {len(tasks)} tasks, expected exactly one of test, identify, design, validate")
+        _check_references(where, tasks[0], earlier)
+        earlier[step.name] = tasks[0]
+    steps = tuple(Step(name, task) for name, task in earlier.items())
+    return Campaign(content.name, content.rig, content.lockstep, steps)
+
+
+Kind = TypeVar("Kind", RigTest, Identify, Design)
+
+
+def _check_references(where: str, task: Task, earlier: dict[str, Task]) -> None:
+    def refer(key: str, name: str, kind: type[Kind], expected: str, fits: Callable[[Kind], bool] | None = None) -> Kind:
+        referred = earlier.get(name)
+        if isinstance(referred, kind) and (fits is None or fits(referred)):
+            return referred
+        having = [other for other, task in earlier.items() if isinstance(task, kind) and (fits is None or fits(task))]
+        raise AbraceError(f"{where}: {key}: {name!r}, expected {expected} ({', '.join(having) or 'there is none'})")
+
+    match task:
+        case RigTest(controller=str(controller)):
+            if task.excitation is not None:
+                raise AbraceError(
+                    f"{where}: test.controller: {controller!r} beside excitation, expected one of the two"
+                )
+            refer("test.controller", controller, Design, "an earlier design step")
+        case Identify():
+            refer("identify.table", task.table, RigTest, "an earlier test of the table alone", _moves_table_alone)
+            refer(
+                "identify.command",
+                task.command,
+                RigTest,
+                "an earlier test with excitation alone",
+                lambda test: test.excitation is not None and test.ground_motion is None,
+            )
+        case Design():
+            refer("design.model", task.model, Identify, "an earlier identify step")
+        case Validate():
+            controlled = refer(
+                "validate.test",
+                task.test,
+                RigTest,
+                "an earlier test with ground motion and controller",
+                lambda test: test.ground_motion is not None and test.controller is not None,
+            )
+            refer(
+                "validate.uncontrolled",
+                task.uncontrolled,
+                RigTest,
+                f"an earlier test without control and with the ground motion and duration of {task.test}",
+                lambda test: (
+                    _moves_table_alone(test)
+                    and (test.ground_motion, test.duration) == (controlled.ground_motion, controlled.duration)
+                ),
+            )
+            refer("validate.model", task.model, Identify, "an earlier identify step")
+            if task.controller != controlled.controller:
+                raise AbraceError(
+                    f"{where}: validate.controller: {task.controller!r}, "
+                    f"expected {controlled.controller!r}, which test {task.test} runs"
+                )
+
+
+def _moves_table_alone(test: RigTest) -> bool:
+    return test.ground_motion is not None and test.excitation is None and test.controller is None

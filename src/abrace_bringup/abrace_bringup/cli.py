@@ -1,0 +1,64 @@
+"""The `abrace` command: run PACKAGE EXECUTABLE, campaign FILE, report DIRECTORY, demo."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from abrace_bringup.processes import find_executable, terminate_as_exception
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+DEMO = "demo"
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    main_parser = argparse.ArgumentParser(prog="abrace", description="Tests of an actively braced building on ROS 2.")
+    commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    run = commands.add_parser("run", help="run a node: `ros2 run` for a machine without the ros2 command")
+    run.add_argument("package", help="such as abrace_plant")
+    run.add_argument("executable", help="such as plant")
+    run.add_argument("arguments", nargs=argparse.REMAINDER, help="as for ros2 run: --ros-args -p name:=value ...")
+    campaign = commands.add_parser("campaign", help="run the steps of a campaign file, then report")
+    campaign.add_argument("file", type=Path, help="YAML")
+    report = commands.add_parser("report", help="tables and summary.json from a campaign's results")
+    report.add_argument("directory", type=Path, help="such as results/demo")
+    commands.add_parser(DEMO, help="the paper's tests, identification, design and comparison on the simulated rig")
+    return main_parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    given = parser().parse_args(arguments)
+    try:
+        with terminate_as_exception():
+            return _carry_out(given)
+    except AbraceError as error:
+        print(f"abrace: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("abrace: stopped", file=sys.stderr)
+        return 130
+
+
+def _carry_out(given: argparse.Namespace) -> int:
+    if given.command == "run":
+        program = find_executable(given.package, given.executable)
+        os.execv(program, [str(program), *given.arguments])
+    from abrace_bringup.report import make_report
+
+    if given.command == "report":
+        print(make_report(given.directory))
+        return 0
+    from abrace_bringup.campaign import run_campaign
+    from abrace_core.node import find_file
+
+    file = given.file if given.command == "campaign" else find_file(DEMO, "abrace_bringup", "campaigns", ".yaml", DEMO)
+    print(make_report(run_campaign(file)))
+    return 0

@@ -1,0 +1,145 @@
+"""The campaign's own eyes and hand in the graph: it reads diagnostics and activates the rig.
+
+With abrace_core's `node` and `brace_commander` this is the one other module outside `nodes` that imports rclpy.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.signals import SignalHandlerOptions
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from types import TracebackType
+    from typing import Self
+
+LOOK = 0.05
+"""Seconds that one look may take."""
+
+
+class Onlooker:
+    """Watches the nodes of a namespace through their diagnostics; a context manager.
+
+    Parameters
+    ----------
+    namespace
+        Of the nodes, as `/demo`.
+    """
+
+    def __init__(self, namespace: str) -> None:
+        self._namespace = namespace
+        self.values: dict[str, dict[str, str]] = {}
+        """What each node's last diagnostics said, by node name."""
+        self.faults: dict[str, str] = {}
+        """The fault that each node reports."""
+
+    def __enter__(self) -> Self:
+        self._context = rclpy.Context()
+        self._context.init(domain_id=None)
+        rclpy.signals.install_signal_handlers(SignalHandlerOptions.NO)
+        self._node = rclpy.create_node("campaign", namespace=self._namespace, context=self._context)
+        self._executor = rclpy.executors.SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 50)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            name = status.hardware_id
+            self.values[name] = {pair.key: pair.value for pair in status.values}
+            if status.level == b"\x02":
+                self.faults[name] = status.message
+            else:
+                self.faults.pop(name, None)
+
+    def look(self) -> None:
+        """Take in what has come."""
+        self._executor.spin_once(timeout_sec=LOOK)
+
+    def wait_until_matched(
+        self, expected: Mapping[str, Mapping[str, int]], timeout: float, check: Callable[[], None]
+    ) -> None:
+        """Wait until every node says that it has found its partners.
+
+        Parameters
+        ----------
+        expected
+            By node, by entry of its diagnostics ("subscribers of response"): how many.
+        timeout
+            Seconds.
+        check
+            Called in between; raises when a node has died.
+
+        Raises
+        ------
+        AbraceError
+            When the time is over, saying what is missing; when there are more than expected.
+        """
+        deadline = time.monotonic() + timeout
+        while True:
+            self.look()
+            check()
+            missing = []
+            for node, entries in expected.items():
+                for entry, count in entries.items():
+                    found = int(self.values.get(node, {}).get(entry, "0"))
+                    if found > count:
+                        raise AbraceError(
+                            f"{node} has {found} {entry} in namespace {self._namespace}, expected {count}: "
+                            "other nodes run there"
+                        )
+                    if found < count:
+                        missing.append(f"{node} has {found} of {count} {entry}")
+            if not missing:
+                return
+            if time.monotonic() > deadline:
+                raise AbraceError(f"nodes did not find each other within {timeout:g} s: {'; '.join(missing)}")
+
+    def change_state(self, node: str, transition: int, timeout: float, check: Callable[[], None]) -> None:
+        """Take a life cycle node through a transition.
+
+        Raises
+        ------
+        AbraceError
+            If it refuses or does not answer in time.
+        """
+        client = self._node.create_client(ChangeState, f"{node}/change_state")
+        deadline = time.monotonic() + timeout
+        while not client.service_is_ready():
+            self.look()
+            check()
+            if time.monotonic() > deadline:
+                raise AbraceError(f"{node} does not offer its life cycle within {timeout:g} s")
+        request = ChangeState.Request()
+        request.transition.id = transition
+        future = client.call_async(request)
+        while not future.done():
+            self.look()
+            check()
+            if time.monotonic() > deadline:
+                raise AbraceError(f"{node} did not change its state within {timeout:g} s")
+        if not future.result().success:
+            raise AbraceError(f"{node} refused the life cycle transition {transition}")
+
+    def configure(self, node: str, timeout: float, check: Callable[[], None]) -> None:
+        """Configure a life cycle node."""
+        self.change_state(node, Transition.TRANSITION_CONFIGURE, timeout, check)
+
+    def activate(self, node: str, timeout: float, check: Callable[[], None]) -> None:
+        """Activate a life cycle node."""
+        self.change_state(node, Transition.TRANSITION_ACTIVATE, timeout, check)

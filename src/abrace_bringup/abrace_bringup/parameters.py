@@ -1,0 +1,61 @@
+"""ROS parameter files for the nodes of a test."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from abrace_core.errors import AbraceError
+from abrace_core.files import write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+def parameter_file(path: Path | str, parameters: Mapping[str, Any]) -> Path:
+    """Write parameters for one node to a ROS parameter file, each with the type that it has here.
+
+    Parameters
+    ----------
+    path
+        YAML file to write.
+    parameters
+        Names and values: bool, int, float, str, or a list of one of these (whole numbers among floats become floats).
+
+    Raises
+    ------
+    AbraceError
+        If a value is none of these, is not finite, or is an empty list (which has no type in ROS).
+    """
+    lines = [f"    {_quoted(name)}: {_written(name, value)}\n" for name, value in parameters.items()]
+    write_text(path, "/**:\n  ros__parameters:" + ("\n" + "".join(lines) if lines else " {}\n"))
+    return Path(path)
+
+
+def _written(name: str, value: Any) -> str:
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case int() if -(2**63) <= value < 2**63:
+            return str(value)
+        case float() if math.isfinite(value):
+            mantissa, exponent_mark, exponent = repr(float(value)).partition("e")
+            return (mantissa if "." in mantissa else mantissa + ".0") + exponent_mark + exponent
+        case str():
+            return _quoted(value)
+        case list() | tuple() if value:
+            kinds = {next((kind for kind in (bool, int, float, str) if isinstance(item, kind)), None) for item in value}
+            if kinds == {int, float}:
+                value, kinds = [float(item) for item in value], {float}
+            if len(kinds) == 1 and None not in kinds:
+                return "[" + ", ".join(_written(name, item) for item in value) + "]"
+    raise AbraceError(
+        f"parameter {name}: {value!r}, expected a bool, a 64-bit int, a finite float, a string, or a list of one kind"
+    )
+
+
+def _quoted(text: str) -> str:
+    return yaml.safe_dump(text, default_style='"', width=math.inf).strip()

@@ -1,0 +1,166 @@
+"""The files of results that a report is made from; each is a JSON object with these keys and no others.
+
+poles.json, from an identify step; frequencies [rad/s], slowest first; `true` is [] where nobody knows the rig's own::
+
+    {"table":   {"identified": [{"frequency": 7.28, "damping_ratio": 0.0151}, ...], "true": [...]},
+     "command": {"identified": [...], "true": [...]}}
+
+comparison.json, from a validate step; every quantity of the rig in the same order in all three; cm, g, kgf
+(`abrace_core.response.in_paper_units`); channels that never move may be missing in `simulated_vs_measured`::
+
+    {"test": {"record": "el_centro", "peak_acceleration": 0.980665, "controller": "lqg3"},
+     "measured": {"x1": {"peak": 1.10, "rms": 0.16}, ..., "U": {...}}, "simulated": {...}, "uncontrolled": {...},
+     "simulated_vs_measured": {"x1": {"correlation": 0.998, "normalised_rms_error": 0.05}, ...}}
+
+timing.json, from the campaign; `samples` and `run_seconds` (from the first sample to the last) for tests alone::
+
+    {"lockstep": true, "sample_rate": 500.0,
+     "steps": [{"name": "table_noise", "wall_seconds": 41.3, "samples": 120000, "run_seconds": 38.0},
+               {"name": "model", "wall_seconds": 7.2}]}
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import pydantic
+
+from abrace_core.config_file import Checked
+from abrace_core.errors import AbraceError
+from abrace_core.response import TABLE_1_EXPERIMENT
+
+Positive = Annotated[float, pydantic.Field(gt=0)]
+NonNegative = Annotated[float, pydantic.Field(ge=0)]
+
+
+class Pole(Checked):
+    """A complex pair of poles: frequency [rad/s] and damping ratio."""
+
+    frequency: Positive
+    damping_ratio: float
+
+
+class Poles(Checked):
+    """Poles identified from one test, and the rig's own."""
+
+    identified: Annotated[tuple[Pole, ...], pydantic.Field(min_length=1)]
+    true: tuple[Pole, ...]
+
+
+class AllPoles(Checked):
+    """poles.json."""
+
+    table: Poles
+    command: Poles
+
+
+class Facts(Checked):
+    """What was compared."""
+
+    record: str
+    peak_acceleration: NonNegative
+    controller: str
+
+
+class Cells(Checked):
+    """Peak and rms of a quantity [cm, g or kgf]."""
+
+    peak: NonNegative
+    rms: NonNegative
+
+
+class Agreement(Checked):
+    """How near the simulation came in one channel."""
+
+    correlation: Annotated[float, pydantic.Field(ge=-1.000001, le=1.000001)]
+    normalised_rms_error: NonNegative
+
+
+class Comparison(Checked):
+    """comparison.json."""
+
+    test: Facts
+    measured: dict[str, Cells]
+    simulated: dict[str, Cells]
+    uncontrolled: dict[str, Cells]
+    simulated_vs_measured: dict[str, Agreement]
+
+    @pydantic.model_validator(mode="after")
+    def _same_rows(self) -> Comparison:
+        rows = list(self.measured)
+        for name in ("simulated", "uncontrolled"):
+            if list(getattr(self, name)) != rows:
+                raise ValueError(f"{name} with the rows of measured, {' '.join(rows)}")
+        if not set(self.simulated_vs_measured) <= set(rows):
+            raise ValueError(f"simulated_vs_measured with rows of measured, {' '.join(rows)}")
+        return self
+
+    @property
+    def is_the_papers(self) -> bool:
+        """Whether this is the test of Table 1: LQG3, El Centro at 0.1 g."""
+        facts = self.test
+        is_its_motion = facts.record == "el_centro" and abs(facts.peak_acceleration - 0.980665) < 1e-3
+        return is_its_motion and facts.controller == "lqg3" and set(TABLE_1_EXPERIMENT) <= set(self.measured)
+
+
+class StepTiming(Checked):
+    """How long a step took."""
+
+    name: str
+    wall_seconds: NonNegative
+    samples: Annotated[int, pydantic.Field(ge=1)] | None = None
+    run_seconds: Positive | None = None
+
+
+class Timing(Checked):
+    """timing.json."""
+
+    lockstep: bool
+    sample_rate: Positive
+    steps: tuple[StepTiming, ...]
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a campaign found out."""
+
+    poles: AllPoles
+    comparison: Comparison
+    timing: Timing
+
+
+Content = TypeVar("Content", bound=Checked)
+
+
+def read_results(directory: Path | str) -> Results:
+    """Read the results of a campaign.
+
+    Raises
+    ------
+    AbraceError
+        Naming the file that is missing or malformed, the key, and what was expected.
+    """
+    directory = Path(directory)
+    if not directory.is_dir():
+        raise AbraceError(f"results directory {directory}: expected a directory that a campaign wrote")
+    return Results(
+        _read(directory / "poles.json", AllPoles),
+        _read(directory / "comparison.json", Comparison),
+        _read(directory / "timing.json", Timing),
+    )
+
+
+def _read(path: Path, schema: type[Content]) -> Content:
+    try:
+        return schema.model_validate(json.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise AbraceError(f"results file {path}: {error.strerror}") from error
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise AbraceError(f"results file {path}: {key or 'rows'}: expected {first['msg']}") from error
+    except ValueError as error:
+        raise AbraceError(f"results file {path}: not JSON ({error})") from error
