@@ -454,6 +454,8 @@ def test_topic_that_cannot_be_read_is_said_or_refused_if_asked_for(tmp_path: Pat
         schema = writer.register_schema(STRING, "ros2msg", DEFINITIONS[STRING].encode())
         good = writer.register_channel("/good", "cdr", schema)
         short = writer.register_channel("/short", "cdr", schema)
+        empty = writer.register_channel("/empty", "cdr", schema)
+        writer.add_message(empty, 1, b"", 1)
         odd = writer.register_channel("/odd", "json", writer.register_schema("odd", "jsonschema", b"{}"))
         writer.add_message(good, 1, serialised(TYPES[STRING](data="ok"), STRING), 1)
         writer.add_message(short, 1, b"\0\1\0\0\xff\0\0\0a", 1)
@@ -461,7 +463,8 @@ def test_topic_that_cannot_be_read_is_said_or_refused_if_asked_for(tmp_path: Pat
         writer.finish()
     contents = read_topics(path)
     assert list(contents) == ["/good"]
-    assert any("/short is left out: it message 0" in warning for warning in contents.warnings)
+    assert any("/short is left out: message 0" in warning for warning in contents.warnings)
+    assert any("/empty is left out: message 0" in warning for warning in contents.warnings)
     assert any("/odd is left out" in warning and "'json'" in warning for warning in contents.warnings)
     with pytest.raises(AbraceError, match=r"no topic /odd in it .*jsonschema"):
         read_topics(path, ["/odd"])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from abrace_core.bag import BagWriter, read_run
@@ -27,7 +28,7 @@ STEP = 4_000_000
 def response(k: int, floors: int = 2, groups: int = 2) -> Any:
     """Sample k, whose values say what they are: tens for the quantity, ones for the place."""
     x = k / 1000
-    time = TYPES["builtin_interfaces/msg/Time"](sec=5, nanosec=k * STEP)
+    time = TYPES["builtin_interfaces/msg/Time"](sec=5 + k * STEP // 10**9, nanosec=k * STEP % 10**9)
     header = TYPES["std_msgs/msg/Header"](stamp=time, frame_id="table")
     floor, group = np.arange(floors), np.arange(groups)
     return TYPES[RESPONSE](header, k, 10 + floor + x, 20 + floor + x, 30 + group + x, 40 + group + x, 50 + group + x, x)
@@ -103,10 +104,11 @@ def test_value_that_is_not_finite_is_named(tmp_path: Path, name: str, value: flo
 def test_sizes_that_change_or_disagree_are_refused(tmp_path: Path) -> None:
     with pytest.raises(AbraceError, match="displacement has not the same number of values in all samples"):
         read_run(write(tmp_path / "changing", [response(0), response(1, floors=3)], {}))
-    message = response(0)
-    message.acceleration = np.zeros(3)
+    messages = [response(k) for k in range(3)]
+    for message in messages:
+        message.acceleration = np.zeros(3)
     with pytest.raises(AbraceError, match=r"displacement, acceleration have \[2, 3\] values, expected equal numbers"):
-        read_run(write(tmp_path / "disagreeing", [message, message], {}))
+        read_run(write(tmp_path / "disagreeing", messages, {}))
 
 
 def test_topic_is_found_or_asked_for(tmp_path: Path) -> None:
@@ -136,8 +138,12 @@ def test_bag_that_was_cut_off_is_a_shorter_run_that_says_so(tmp_path: Path) -> N
 def test_hole_in_a_damaged_bag_is_refused_with_its_cause(tmp_path: Path) -> None:
     bag = write(tmp_path / "bag", [response(k) for k in range(2000)], {})
     file = bag / "bag_0.mcap"
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[len(summary.chunk_indexes) // 2]
     content = bytearray(file.read_bytes())
-    content[len(content) // 2] ^= 1
+    content[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 1
     file.write_bytes(content)
     with pytest.raises(AbraceError, match=r"is followed by sample .*messages are missing"):
         read_run(bag)

@@ -14,7 +14,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from abrace_core.command_guard import CommandGuard
-from abrace_core.node import COMMAND_QOS, LATCHED_QOS, RESPONSE_QOS, AbraceLifecycleNode, Parameter
+from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, STREAM_QOS, AbraceLifecycleNode, Parameter
 from abrace_core.sample_watch import SampleWatch
 from abrace_interfaces.msg import BraceCommand, Response
 
@@ -47,8 +47,8 @@ class BraceCommander(AbraceLifecycleNode):
         self.command = BraceCommand()
         self.slowest = 0.0
         self.quiet = True
-        self.publisher = self.publish_on(BraceCommand, "brace_command", COMMAND_QOS)
-        self.subscribe_to(Response, "response", self.on_response, RESPONSE_QOS)
+        self.publisher = self.publish_on(BraceCommand, "brace_command", KEPT_STREAM_QOS)
+        self.subscribe_to(Response, "response", self.on_response, STREAM_QOS)
         self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
         self.create_service(Trigger, "~/clear_fault", self.on_clear_fault)
 

@@ -43,9 +43,13 @@ from abrace_core.errors import AbraceError
 LONGEST_WAIT = 0.1
 """Seconds that the executor may wait at a time. An untimed wait of the events executor never returns to Python."""
 
-RESPONSE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-COMMAND_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-GROUND_MOTION_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+STREAM_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+"""How `response`, `brace_command` and `ground_motion` are taken by those who answer them."""
+KEPT_STREAM_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+"""How they are published, and taken by those who must not miss one: two seconds are kept for a reader that is late.
+
+With ten kept, a logger that a busy machine held up for some milliseconds lost samples of a lockstep run.
+"""
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 _TYPES = {

@@ -1,13 +1,11 @@
 """One MCAP file to the messages of each channel, chunk by chunk, with every checksum checked.
 
 What is whole is kept, what is not is left out and said. The messages of a chunk are taken to arrays together: only
-finding where each begins costs Python work, 0.1 microseconds a message.
+finding where each begins is Python work for every message, about 0.2 microseconds.
 """
 
 from __future__ import annotations
 
-import contextlib
-import json
 import os
 import struct
 import zlib
@@ -19,20 +17,22 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
+from abrace_core.bag.mcap_records import (
+    FACTS_RECORD,
+    RECORD_HEAD,
+    DamagedError,
+    RecordFields,
+    checked_facts,
+    next_record,
+    open_mcap,
+)
 from abrace_core.bag.stream import MESSAGE_HEAD_SIZE, Channel, Stream
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable
     from pathlib import Path
 
-FACTS_RECORD = "abrace"
-"""Name of the metadata record that holds the run's facts."""
-
-CHECKSUM_KEY = "checksum"
-"""Key in that record, which MCAP itself doesn't protect in a file that was cut off."""
-
-_RECORD_HEAD = struct.Struct("<BQ")
 _SUMMARY_OPCODES = frozenset(
     {
         Opcode.SCHEMA,
@@ -44,52 +44,6 @@ _SUMMARY_OPCODES = frozenset(
         Opcode.SUMMARY_OFFSET,
     }
 )
-
-
-def facts_checksum(facts: Mapping[str, str]) -> str:
-    """CRC-32 of a run's facts as JSON with sorted keys: kept beside them."""
-    return f"{zlib.crc32(json.dumps(dict(facts), sort_keys=True).encode()):08x}"
-
-
-class _DamagedError(Exception):
-    """What is wrong with a record."""
-
-
-class _Fields:
-    """Reads the fields of a record one after the other."""
-
-    def __init__(self, body: bytes) -> None:
-        self.body = body
-        self.offset = 0
-
-    def number(self, size: int) -> int:
-        return int.from_bytes(self.take(size), "little")
-
-    def text(self) -> str:
-        try:
-            return self.take(self.number(4)).decode()
-        except UnicodeDecodeError as error:
-            raise _DamagedError("holds text that is not UTF-8") from error
-
-    def texts(self) -> dict[str, str]:
-        end = self.number(4) + self.offset
-        found = {}
-        while self.offset < end:
-            key = self.text()
-            found[key] = self.text()
-        if self.offset != end:
-            raise _DamagedError("has lengths that don't fit")
-        return found
-
-    def take(self, size: int) -> bytes:
-        self.offset += size
-        if self.offset > len(self.body):
-            raise _DamagedError("has lengths that don't fit")
-        return self.body[self.offset - size : self.offset]
-
-    def end(self) -> None:
-        if self.offset != len(self.body):
-            raise _DamagedError("has lengths that don't fit")
 
 
 class McapFile:
@@ -133,7 +87,7 @@ class McapFile:
         self._checked = False
         self._loose = bytearray()
         self._decompressor = zstandard.ZstdDecompressor()
-        with _open(path) as file:
+        with open_mcap(path) as file:
             self._read(file)
         for number in [number for number in self.streams if number not in self.channels]:
             lost = self.streams.pop(number).count
@@ -150,14 +104,14 @@ class McapFile:
         try:
             while opcode != Opcode.FOOTER:
                 offset = file.tell()
-                opcode, body = _record(file, size)
+                opcode, body = next_record(file, size)
                 if summary is None and opcode == Opcode.DATA_END:
-                    fields = _Fields(body)
+                    fields = RecordFields(body)
                     self._end_of_data(fields.number(4), checksum)
                     fields.end()
                     summary, checksum = [], 0
                     continue
-                checksum = zlib.crc32(_RECORD_HEAD.pack(opcode, len(body)), checksum)
+                checksum = zlib.crc32(RECORD_HEAD.pack(opcode, len(body)), checksum)
                 if summary is None:
                     checksum = zlib.crc32(body, checksum)
                     self._data_record(offset, opcode, body)
@@ -167,11 +121,11 @@ class McapFile:
                     checksum = zlib.crc32(body, checksum)
                     summary.append((opcode, body))
                 else:
-                    raise _DamagedError("is not one of an index")
+                    raise DamagedError("is not one of an index")
             offset = file.tell()
             if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                raise _DamagedError("is not MCAP's closing mark")
-        except _DamagedError as error:
+                raise DamagedError("is not MCAP's closing mark")
+        except DamagedError as error:
             what = "the rest" if summary is None else "the index"
             self._warn(f"cut off or damaged at byte {offset} of {size}, {what} is not read: what is there {error}")
         if self._loose:
@@ -184,15 +138,15 @@ class McapFile:
             self._warn(f"{self._statistics - self._found} of {self._statistics} messages are missing")
 
     def _data_record(self, offset: int, opcode: int, body: bytes) -> None:
-        fields = _Fields(body)
+        fields = RecordFields(body)
         if opcode == Opcode.CHUNK:
             if self._loose:
-                raise _DamagedError("is a chunk among messages outside chunks")
+                raise DamagedError("is a chunk among messages outside chunks")
             self._chunk(offset, fields)
         elif opcode == Opcode.MESSAGE:
-            if self._found or len(body) < MESSAGE_HEAD_SIZE - _RECORD_HEAD.size:
-                raise _DamagedError("is a message outside the chunks")
-            self._loose += _RECORD_HEAD.pack(opcode, len(body)) + body
+            if self._found or len(body) < MESSAGE_HEAD_SIZE - RECORD_HEAD.size:
+                raise DamagedError("is a message outside the chunks")
+            self._loose += RECORD_HEAD.pack(opcode, len(body)) + body
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._description(opcode, body)
         elif opcode == Opcode.METADATA:
@@ -201,7 +155,7 @@ class McapFile:
             fields.end()
             if name == FACTS_RECORD:
                 try:
-                    self.facts = _checked_facts(self._path, texts)
+                    self.facts = checked_facts(self._path, texts)
                 except AbraceError as error:
                     self.warnings.append(str(error))
         elif opcode == Opcode.MESSAGE_INDEX:
@@ -214,9 +168,9 @@ class McapFile:
             fields.end()
         elif opcode == Opcode.ATTACHMENT:
             if len(body) < 4 or zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
-                raise _DamagedError("is an attachment that does not fit its checksum")
+                raise DamagedError("is an attachment that does not fit its checksum")
         elif opcode < 0x80:
-            raise _DamagedError(f"is of an unknown kind ({opcode:#04x})")
+            raise DamagedError(f"is of an unknown kind ({opcode:#04x})")
         else:
             self._warn(f"the record at byte {offset} is of an unknown kind ({opcode:#04x}) and left out")
 
@@ -229,7 +183,7 @@ class McapFile:
         self._warn("damaged between its chunks: the checksum over them does not fit")
 
     def _footer(self, body: bytes, checksum: int, summary: list[tuple[int, bytes]]) -> None:
-        fields = _Fields(body)
+        fields = RecordFields(body)
         fields.take(16)
         expected = fields.number(4)
         fields.end()
@@ -240,9 +194,9 @@ class McapFile:
                 if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._description(opcode, content)
                 elif opcode == Opcode.STATISTICS:
-                    self._statistics = _Fields(content).number(8)
+                    self._statistics = RecordFields(content).number(8)
 
-    def _chunk(self, offset: int, fields: _Fields) -> None:
+    def _chunk(self, offset: int, fields: RecordFields) -> None:
         fields.take(16)
         size, checksum, compression = fields.number(8), fields.number(4), fields.text()
         packed = fields.take(fields.number(8))
@@ -278,19 +232,21 @@ class McapFile:
             starts.append(offset)
             offset += 9 + length_at(data, offset + 1)[0]
         if offset != end:
-            raise _DamagedError("is a chunk whose records don't fill it")
+            raise DamagedError("is a chunk whose records don't fill it")
+        if not starts:
+            return
         start = np.array(starts, np.int64)
         size = np.diff(start, append=end)
         opcode = np.frombuffer(data, np.uint8)[start]
         for one in np.flatnonzero((opcode == Opcode.SCHEMA) | (opcode == Opcode.CHANNEL)):
-            self._description(int(opcode[one]), data[start[one] + _RECORD_HEAD.size : start[one] + size[one]])
+            self._description(int(opcode[one]), data[start[one] + RECORD_HEAD.size : start[one] + size[one]])
         start, size = start[opcode == Opcode.MESSAGE], size[opcode == Opcode.MESSAGE]
         if not start.size:
             return
         if size.min() < MESSAGE_HEAD_SIZE:
-            raise _DamagedError("is a chunk with a message that is too short")
+            raise DamagedError("is a chunk with a message that is too short")
         self._found += start.size
-        channel = np.ndarray((end - 1,), "<u2", data, strides=(1,))[start + _RECORD_HEAD.size]
+        channel = np.ndarray((end - 1,), "<u2", data, strides=(1,))[start + RECORD_HEAD.size]
         for number in np.unique(channel).tolist():
             if number in self.channels and not self._wanted(self.channels[number]):
                 continue
@@ -298,7 +254,7 @@ class McapFile:
             self.streams.setdefault(number, Stream()).append(data, start[chosen], size[chosen])
 
     def _description(self, opcode: int, body: bytes) -> None:
-        fields = _Fields(body)
+        fields = RecordFields(body)
         number = fields.number(2)
         if opcode == Opcode.SCHEMA:
             name, encoding = fields.text(), fields.text()
@@ -309,55 +265,3 @@ class McapFile:
             fields.texts()
             self.channels[number] = Channel(topic, encoding, *schema)
         fields.end()
-
-
-@contextlib.contextmanager
-def _open(path: Path) -> Iterator[BinaryIO]:
-    """The file, behind MCAP's opening mark."""
-    try:
-        with path.open("rb") as file:
-            mark = file.read(len(MCAP0_MAGIC))
-            if not mark:
-                raise AbraceError(f"{path}: the file is empty, expected an MCAP file")
-            if mark != MCAP0_MAGIC:
-                raise AbraceError(f"{path}: not an MCAP file")
-            yield file
-    except OSError as error:
-        raise AbraceError(f"{path}: {error.strerror}") from error
-
-
-def _record(file: BinaryIO, size: int) -> tuple[int, bytes]:
-    """Opcode and body of the next record of a file of this size."""
-    head = file.read(_RECORD_HEAD.size)
-    if len(head) < _RECORD_HEAD.size:
-        raise _DamagedError("is not a whole record")
-    opcode, length = _RECORD_HEAD.unpack(head)
-    if length > size - file.tell():
-        raise _DamagedError("is not a whole record")
-    return opcode, file.read(length)
-
-
-def read_facts_record(path: Path) -> dict[str, str] | None:
-    """The run's facts in one file, without reading further than to them; None where it has none.
-
-    Raises
-    ------
-    AbraceError
-        If the file can't be read, is not MCAP, or its facts are damaged.
-    """
-    with _open(path) as file, contextlib.suppress(_DamagedError):
-        size = os.fstat(file.fileno()).st_size
-        opcode = 0
-        while opcode != Opcode.DATA_END:
-            opcode, body = _record(file, size)
-            if opcode == Opcode.METADATA:
-                fields = _Fields(body)
-                if fields.text() == FACTS_RECORD:
-                    return _checked_facts(path, fields.texts())
-    return None
-
-
-def _checked_facts(path: Path, texts: dict[str, str]) -> dict[str, str]:
-    if texts.pop(CHECKSUM_KEY, None) != facts_checksum(texts):
-        raise AbraceError(f"{path}: the run's facts do not fit their checksum, the file is damaged")
-    return texts

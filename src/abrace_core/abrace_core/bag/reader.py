@@ -11,7 +11,8 @@ import numpy as np
 import yaml
 
 from abrace_core.bag.cdr import decode
-from abrace_core.bag.mcap_file import McapFile, read_facts_record
+from abrace_core.bag.mcap_file import McapFile
+from abrace_core.bag.mcap_records import read_facts_record
 from abrace_core.bag.ros2msg import parse_message_type
 from abrace_core.errors import AbraceError
 
@@ -106,7 +107,7 @@ def read_selected(bag: Path | str, wanted: Callable[[Channel], bool]) -> BagCont
         try:
             contents[topic] = _topic(found)
         except AbraceError as error:
-            warnings.append(f"{bag}: topic {topic} is left out: it {error}")
+            warnings.append(f"{bag}: topic {topic} is left out: {error}")
     return BagContents(contents, facts, tuple(warnings))
 
 

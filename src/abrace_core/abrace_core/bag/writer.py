@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 from mcap.writer import CompressionType, Writer
 
-from abrace_core.bag.mcap_file import CHECKSUM_KEY, FACTS_RECORD, facts_checksum
+from abrace_core.bag.mcap_records import CHECKSUM_KEY, FACTS_RECORD, facts_checksum
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 

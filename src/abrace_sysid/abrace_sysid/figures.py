@@ -1,0 +1,240 @@
+"""Figures in the manner of the paper's Figs. 3 to 6, a pole chart and the Hankel singular values.
+
+Each function returns a matplotlib Figure that belongs to no window; `save` writes it. Measured curves have one colour
+throughout and simulated or fitted ones another; a reference (the rig's own curve, another model's) is grey.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from abrace_core import signals
+from abrace_core.errors import AbraceError
+from abrace_core.files import write_beside
+from abrace_core.linear_model import pole_table
+from abrace_core.response import paper_unit
+from abrace_core.simulation import discretize
+from abrace_sysid.realization import HOLDS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from abrace_core.linear_model import LinearModel
+    from abrace_core.run import Run
+    from abrace_sysid.frequency_response import FrequencyResponse
+    from abrace_sysid.validation import Comparison
+
+MEASURED = "#1b3a6b"
+SIMULATED = "#d1495b"
+REFERENCE = "#8a8a8a"
+RESOLUTION = 160
+"""Dots per inch of saved figures."""
+
+
+def transfer_functions(
+    measured: FrequencyResponse,
+    channels: Sequence[str],
+    fitted: LinearModel,
+    reference: LinearModel | None = None,
+    reference_label: str = "rig",
+) -> Figure:
+    """Amplitude and phase of some channels, measured and fitted: Figs. 3, 4 and 5.
+
+    Parameters
+    ----------
+    measured
+        Of the sampled rig.
+    channels
+        Outputs to show, one column each.
+    fitted, reference
+        Continuous models; their curves are drawn as sampled, with hold and delay, as the measured one is.
+    reference_label
+        What the reference is.
+    """
+    figure = Figure(figsize=(4.8 * len(channels), 5.6), layout="constrained")
+    axes = figure.subplots(2, len(channels), sharex=True, squeeze=False)
+    frequency = measured.omega / (2 * np.pi)
+    points = measured.select(channels).response
+    curves: list[tuple[NDArray[np.complex128], str, dict[str, Any]]] = [
+        (points, "measured", {"color": MEASURED, "marker": ".", "ms": 2.5, "ls": "none"})
+    ]
+    if reference is not None:
+        style = {"color": REFERENCE, "lw": 1.2, "ls": "--"}
+        curves.append((_sampled(reference, measured, channels), reference_label, style))
+    curves.append((_sampled(fitted, measured, channels), "fitted", {"color": SIMULATED, "lw": 1.2}))
+    for j, name in enumerate(channels):
+        amplitude, phase = axes[:, j]
+        for response, label, style in curves:
+            amplitude.semilogy(frequency, np.abs(response[:, j]), label=label, **style)
+            phase.plot(frequency, _phase(response[:, j]), **style)
+        size = np.abs(points[:, j])
+        amplitude.set_ylim(size.min() / 2, size.max() * 2)
+        amplitude.set_title(f"{_symbol(name)} / {_symbol(measured.input)}")
+        amplitude.set_ylabel(f"amplitude [{_ratio_unit(name, measured.input)}]")
+        phase.set_ylabel("phase angle [deg]")
+        phase.set_yticks(np.arange(-180, 181, 90))
+        phase.set_ylim(-190, 190)
+        phase.set_xlabel("frequency [Hz]")
+        phase.set_xlim(0, frequency[-1])
+    axes[0, 0].legend(loc="best", markerscale=4)
+    for axis in axes.flat:
+        axis.grid(alpha=0.3)
+    return figure
+
+
+def pole_chart(poles: Mapping[str, NDArray[np.complex128]], reference: Mapping[str, NDArray[np.complex128]]) -> Figure:
+    """Frequency and damping ratio of each oscillating pole.
+
+    Parameters
+    ----------
+    poles
+        Identified sets by name, drawn as crosses and the like.
+    reference
+        Sets to compare with by name (the paper's, the rig's own), drawn as open rings. [rad/s]
+    """
+    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+    axis = figure.subplots()
+    for i, (label, values) in enumerate(reference.items()):
+        style = {"marker": "osD^"[i % 4], "ms": 10, "mfc": "none", "mec": (REFERENCE, "k")[i % 2], "ls": "none"}
+        axis.loglog(*_frequency_and_percent(values), label=label, **style)
+    for i, (label, values) in enumerate(poles.items()):
+        style = {"marker": "x+1*"[i % 4], "ms": 9, "mew": 1.6, "color": (SIMULATED, MEASURED)[i % 2], "ls": "none"}
+        axis.loglog(*_frequency_and_percent(values), label=label, **style)
+    axis.set_xlabel("frequency [rad/s]")
+    axis.set_ylabel("damping ratio [%]")
+    axis.grid(which="both", alpha=0.3)
+    axis.legend(loc="best")
+    return figure
+
+
+def hankel_singular_values(values: NDArray[np.float64], kept: int) -> Figure:
+    """Hankel singular values (states,), greatest first, and how many of them a reduced model keeps."""
+    figure = Figure(figsize=(6.4, 3.8), layout="constrained")
+    axis = figure.subplots()
+    shown = np.maximum(values, 1e-8 * values[0])
+    number = np.arange(1, len(values) + 1)
+    axis.bar(number[:kept], shown[:kept], color=SIMULATED, label=f"kept ({kept})")
+    axis.bar(number[kept:], shown[kept:], color=REFERENCE, label="cut")
+    axis.set_yscale("log")
+    axis.set_ylim(shown.min() / 2, shown.max() * 2)
+    axis.set_xticks(number[:: max(1, len(number) // 12)])
+    axis.set_xlabel("state of the balanced model")
+    axis.set_ylabel("Hankel singular value [-]")
+    axis.grid(axis="y", alpha=0.3)
+    axis.legend(loc="best")
+    return figure
+
+
+def time_histories(
+    comparison: Comparison, channels: Sequence[str] = ("x3", "a1"), zoom: tuple[float, float] | None = None
+) -> Figure:
+    """Measured against simulated responses in the paper's units: Fig. 6.
+
+    Parameters
+    ----------
+    comparison
+        What to draw.
+    channels
+        One row each.
+    zoom
+        Seconds to show enlarged in a second column.
+    """
+    missing = [name for name in channels if name not in comparison.names]
+    if missing:
+        raise AbraceError(
+            f"figure of {comparison.source}: no channel {', '.join(missing)}, expected any of "
+            f"{', '.join(comparison.names)}"
+        )
+    columns = 1 if zoom is None else 2
+    figure = Figure(figsize=(7.0 * columns, 2.6 * len(channels)), layout="constrained")
+    axes = figure.subplots(len(channels), columns, squeeze=False, sharex="col")
+    for i, name in enumerate(channels):
+        factor, unit = paper_unit(name)
+        j = comparison.names.index(name)
+        for axis in axes[i]:
+            _history(axis, comparison, j, factor)
+        axes[i, 0].set_ylabel(f"{_symbol(name)} [{unit}]")
+    axes[0, 0].legend(loc="upper right", ncols=2)
+    axes[0, 0].set_xlim(comparison.time[0], comparison.time[-1])
+    if zoom is not None:
+        axes[0, 1].set_xlim(*zoom)
+        axes[0, 1].set_title(f"{zoom[0]:g} to {zoom[1]:g} s")
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]")
+    return figure
+
+
+def control_effect(uncontrolled: Run, controlled: Run, channels: Sequence[str]) -> Figure:
+    """The same test measured without and with control, in the paper's units.
+
+    Parameters
+    ----------
+    uncontrolled, controlled
+        Runs of one rig.
+    channels
+        One row each.
+    """
+    figure = Figure(figsize=(7.0, 2.6 * len(channels)), layout="constrained")
+    axes = figure.subplots(len(channels), 1, squeeze=False, sharex=True)[:, 0]
+    for axis, name in zip(axes, channels, strict=True):
+        factor, unit = paper_unit(name)
+        for run, label, colour in ((uncontrolled, "uncontrolled", REFERENCE), (controlled, "controlled", MEASURED)):
+            axis.plot(run.time, factor * run.channels([name])[:, 0], color=colour, lw=1.0, label=label)
+        axis.set_ylabel(f"{_symbol(name)} [{unit}]")
+        axis.grid(alpha=0.3)
+    axes[0].legend(loc="upper right", ncols=2)
+    axes[-1].set_xlim(controlled.time[0], controlled.time[-1])
+    axes[-1].set_xlabel("time [s]")
+    return figure
+
+
+def save(figure: Figure, path: Path | str) -> None:
+    """Write a figure to a PNG file, whole or not at all."""
+    with write_beside(path) as beside:
+        figure.savefig(beside, format="png", dpi=RESOLUTION)
+
+
+def _history(axis: Axes, comparison: Comparison, j: int, factor: float) -> None:
+    axis.plot(comparison.time, factor * comparison.measured[:, j], color=MEASURED, lw=1.6, label="measured")
+    axis.plot(comparison.time, factor * comparison.simulated[:, j], color=SIMULATED, lw=1.0, ls="--", label="simulated")
+    axis.grid(alpha=0.3)
+
+
+def _sampled(model: LinearModel, measured: FrequencyResponse, channels: Sequence[str]) -> NDArray[np.complex128]:
+    """(lines, channels) the response of a continuous model as the measured one was taken."""
+    sampled = discretize(model.select(channels, [measured.input]), measured.sample_period, HOLDS)
+    return sampled.frequency_response(measured.omega)[:, :, 0]
+
+
+def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """[deg] within -180 to 180, with gaps where it wraps so that no line is drawn across."""
+    phase = np.degrees(np.angle(response))
+    phase[1:][np.abs(np.diff(phase)) > 270] = np.nan
+    return phase
+
+
+def _frequency_and_percent(poles: NDArray[np.complex128]) -> tuple[list[float], list[float]]:
+    pairs = pole_table(poles)
+    return [frequency for frequency, _ in pairs], [100 * ratio for _, ratio in pairs]
+
+
+def _symbol(name: str) -> str:
+    """The paper's symbol for a signal."""
+    if name == signals.GROUND:
+        return "$W$"
+    if name[0] == "a":
+        return rf"$\ddot{{x}}_{{{name[1:]}a}}$"
+    return f"${name[0]}_{{{name[1:]}}}$" if len(name) > 1 else f"${name}$"
+
+
+def _ratio_unit(output: str, input_name: str) -> str:
+    """The unit of a transfer function."""
+    above, below = (signals.unit(name).replace("^2", "²") for name in (output, input_name))
+    return f"{above} / ({below})" if "/" in below else f"{above} / {below}"

@@ -1,0 +1,83 @@
+"""The node `validate`: a bag against its simulation by a model, and against the same test without control."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from abrace_core.bag import read_run
+from abrace_core.controller_file import load_controller
+from abrace_core.files import write_text
+from abrace_core.linear_model import load_model
+from abrace_core.node import AbraceNode, Parameter, run
+from abrace_core.response import PeakRms, in_paper_units, peak_rms
+from abrace_sysid import figures
+from abrace_sysid.validation import compare
+
+PARAMETERS = [
+    Parameter("bag", "", "bag of the test to compare", required=True),
+    Parameter("model", "", "model file (JSON) to simulate with", required=True),
+    Parameter("controller", "", "controller file of the test; empty: the recorded command drives the model"),
+    Parameter("uncontrolled", "", "bag of the same test without control; empty: none"),
+    Parameter("output", "", "folder for comparison.json and figures", required=True),
+]
+
+ZOOM = (0.0, 20.0)
+"""Seconds shown enlarged: the strong part of El Centro."""
+
+
+class Validate(AbraceNode):
+    """Compares one test and ends."""
+
+    def __init__(self) -> None:
+        super().__init__("validate", PARAMETERS)
+
+    def work(self) -> None:
+        """Read, simulate, compare, write, draw."""
+        given = self.parameters
+        print("reading the bags", flush=True)
+        test, model = read_run(given.bag), load_model(given.model)
+        uncontrolled = read_run(given.uncontrolled) if given.uncontrolled else None
+        law, limit = None, np.full(test.groups, np.inf)
+        if given.controller:
+            controller = load_controller(given.controller)
+            law, limit = controller.law, controller.force_limit
+        print("simulating", flush=True)
+        comparison = compare(test, model, law, limit)
+        correlation, error = comparison.correlation(), comparison.normalised_rms_error()
+        content = {
+            "test": {
+                "record": test.facts.get("record", ""),
+                "peak_acceleration": float(test.facts.get("peak_acceleration", 0.0)),
+                "controller": test.facts.get("controller", ""),
+            },
+            "measured": _table(comparison.measured_peak_rms()),
+            "simulated": _table(comparison.simulated_peak_rms()),
+            "uncontrolled": _table(peak_rms(uncontrolled)) if uncontrolled else None,
+            "simulated_vs_measured": {
+                name: {"correlation": correlation[name], "normalised_rms_error": error[name]} for name in correlation
+            },
+        }
+        output = Path(given.output)
+        write_text(output / "comparison.json", json.dumps(content, indent=1))
+        top = test.floors
+        drawing = figures.time_histories(comparison, [f"x{top}", "a1"], (ZOOM[0], min(ZOOM[1], comparison.time[-1])))
+        figures.save(drawing, output / "figure_6_time_histories.png")
+        if uncontrolled:
+            drawing = figures.control_effect(uncontrolled, test, [f"x{top}", f"a{top}"])
+            figures.save(drawing, output / "uncontrolled_and_controlled.png")
+        print("channel  correlation  normalised rms error")
+        for name, value in correlation.items():
+            print(f"{name:8} {value:11.4f}  {error[name]:20.4f}")
+        print(f"wrote {output}")
+
+
+def _table(rows: dict[str, PeakRms]) -> dict[str, dict[str, float]]:
+    return {name: row._asdict() for name, row in in_paper_units(rows).items()}
+
+
+def main() -> int:
+    """Entry point."""
+    return run(Validate)
