@@ -12,7 +12,7 @@ from rclpy.task import Future
 from std_msgs.msg import Bool
 
 from abrace_core.errors import AbraceError
-from abrace_core.node import GROUND_MOTION_QOS, LATCHED_QOS, RESPONSE_QOS, AbraceLifecycleNode, Parameter, run
+from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, STREAM_QOS, AbraceLifecycleNode, Parameter, run
 from abrace_core.noise import banded_noise
 from abrace_core.sample_watch import SampleWatch
 from abrace_interfaces.action import PlayGroundMotion
@@ -56,8 +56,8 @@ class GroundMotion(AbraceLifecycleNode):
         self.first_motion = self.motion(given.record, given.peak_acceleration, given.duration) if given.record else None
         self.message = AccelStamped()
         self.message.header.frame_id = "table"
-        self.publisher = self.publish_on(AccelStamped, "ground_motion", GROUND_MOTION_QOS)
-        self.subscribe_to(Response, "response", self.on_response, RESPONSE_QOS)
+        self.publisher = self.publish_on(AccelStamped, "ground_motion", KEPT_STREAM_QOS)
+        self.subscribe_to(Response, "response", self.on_response, STREAM_QOS)
         self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
         self.server = ActionServer(
             self,

@@ -13,10 +13,9 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from abrace_core.node import (
-    COMMAND_QOS,
-    GROUND_MOTION_QOS,
+    KEPT_STREAM_QOS,
     LATCHED_QOS,
-    RESPONSE_QOS,
+    STREAM_QOS,
     AbraceLifecycleNode,
     Parameter,
     find_file,
@@ -58,14 +57,14 @@ class Plant(AbraceLifecycleNode):
         given = self.parameters
         self.rig = load_rig(find_file(given.rig, "abrace_plant", "config", ".yaml", "rig"))
         self.floors, self.groups = self.rig.floors, self.rig.groups
-        self.response = self.publish_on(Response, "response", RESPONSE_QOS)
+        self.response = self.publish_on(Response, "response", KEPT_STREAM_QOS)
         self.joint_states = self.create_publisher(JointState, "joint_states", 10)
         self.description = self.create_publisher(String, "robot_description", LATCHED_QOS)
         self.description.publish(String(data=urdf(self.rig)))
         self.clock_publisher = self.create_publisher(Clock, "/clock", 10) if given.lockstep else None
         self.inputs = {
-            COMMAND: self.subscribe_to(BraceCommand, COMMAND, self.on_command, COMMAND_QOS),
-            GROUND: self.subscribe_to(AccelStamped, GROUND, self.on_ground_motion, GROUND_MOTION_QOS),
+            COMMAND: self.subscribe_to(BraceCommand, COMMAND, self.on_command, STREAM_QOS),
+            GROUND: self.subscribe_to(AccelStamped, GROUND, self.on_ground_motion, STREAM_QOS),
         }
         self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
         self.create_service(Trigger, "~/clear_fault", self.on_clear_fault)

@@ -22,7 +22,9 @@ PARAMETERS = [
     Parameter("command", "", "bag of the test with white noise as command", required=True),
     Parameter("output", "", "folder for models, poles and figures", required=True),
     Parameter("method", DEFAULTS.method, "of the transfer functions", choices=("local_polynomial", "welch")),
-    Parameter("command_order", DEFAULTS.command_order, "poles of the accelerations' response to the command", minimum=2),
+    Parameter(
+        "command_order", DEFAULTS.command_order, "poles of the accelerations' response to the command", minimum=2
+    ),
     Parameter("servo_lag", DEFAULTS.servo_lag, "s, of the actuators, from the bench test", minimum=0.0),
     Parameter("reduced_order", DEFAULTS.reduced_order, "states of the reduced model", minimum=1),
     Parameter("mat", False, "write the models as MATLAB files too"),
@@ -58,7 +60,9 @@ class Identify(AbraceNode):
             if given.mat:
                 export_mat(model, output / f"{name}.mat")
         poles = {"table": found.table_poles, "command": found.command_poles}
-        write_text(output / "poles.json", json.dumps({test: _pairs(values) for test, values in poles.items()}, indent=1))
+        write_text(
+            output / "poles.json", json.dumps({test: _pairs(values) for test, values in poles.items()}, indent=1)
+        )
         for test, values in poles.items():
             print(f"poles from the {test} test (rad/s, damping ratio):")
             for pair in _pairs(values):
@@ -69,9 +73,7 @@ class Identify(AbraceNode):
             "figure_3_force": figures.transfer_functions(found.command_response, ["f"], found.model),
             "figure_4_table": figures.transfer_functions(found.table_response, [f"x{top}", "a1"], found.model),
             "figure_5_command": figures.transfer_functions(found.command_response, [f"x{top}", "a1"], found.model),
-            "hankel_singular_values": figures.hankel_singular_values(
-                found.hankel_singular_values, given.reduced_order
-            ),
+            "hankel_singular_values": figures.hankel_singular_values(found.hankel_singular_values, given.reduced_order),
         }
         for name, figure in drawings.items():
             figures.save(figure, output / f"{name}.png")

@@ -1,0 +1,1 @@
+"""Models to controllers: LQG design, margins, the run-time law and its parameter file."""

@@ -1,0 +1,274 @@
+"""LQG design: from a model to the discrete output-feedback controller (Eqs. 11 to 13).
+
+The design model is the given one with its commands delayed, by Pade's approximation, by all that lies between a sample
+and its command's effect: one sample of computation, half a sample of hold, and the model's own input delay (the
+servo's).
+The regulator minimises Eq. (11) with z-bar = C_z Z + D_z U, so that states and commands meet in cross terms; the filter
+knows that the ground acceleration drives the states and feeds through to the measured quantities (F_y), so that process
+and measurement noise are correlated (Anderson & Moore, Optimal Control: Linear Quadratic Methods, chapters 3 and 7).
+
+Eq. (12) becomes Eq. (13) by the bilinear transformation (Tustin): U(n) answers y(n) itself, a hold adds no delay of its
+own, a stable controller stays stable, and the response is that of Eq. (12) at the warped frequency tan(w T/2) 2/T,
+0.13 % off at 10 Hz and 2 ms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import linalg
+
+from abrace_core import signals
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import LinearModel
+from abrace_lqg.margins import is_stable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_lqg.weights import Weights
+
+RESIDUAL_LIMIT = 1e-8
+"""Greatest residual of a Riccati equation, relative to its terms."""
+
+
+@dataclass(frozen=True)
+class ControllerDesign:
+    """A controller and what it was designed from.
+
+    Parameters
+    ----------
+    controller
+        Eq. (13): discrete model from the measured quantities to the commands.
+    continuous
+        Eq. (12), the same before it was sampled.
+    design_model
+        The given model with its commands delayed.
+    regulator_gain
+        (commands, states): U = -K q.
+    filter_gain
+        (states, measured): the Kalman filter's L.
+    weights
+        What was asked for.
+    """
+
+    controller: LinearModel
+    continuous: LinearModel
+    design_model: LinearModel
+    regulator_gain: NDArray[np.float64]
+    filter_gain: NDArray[np.float64]
+    weights: Weights
+
+
+def design(
+    model: LinearModel, weights: Weights, sample_period: float, others: Sequence[LinearModel] = ()
+) -> ControllerDesign:
+    """Design the controller of Eqs. (11) to (13).
+
+    Parameters
+    ----------
+    model
+        Continuous; its first input is the ground acceleration w, the others are the commands. Any order.
+    weights
+        Weights, measured quantities and noise.
+    sample_period
+        Of the controller [s].
+    others
+        Further models (the full one, the rig's own) with which the loop must be stable too.
+
+    Returns
+    -------
+    ControllerDesign
+
+    Raises
+    ------
+    AbraceError
+        If the model does not fit, a Riccati equation has no good solution, or a loop is not stable.
+    """
+    if model.sample_period or model.inputs[:1] != (signals.GROUND,) or len(model.inputs) < 2:
+        raise AbraceError(
+            f"design: model with inputs {', '.join(model.inputs)} and sample period {model.sample_period} s, "
+            f"expected a continuous one with inputs {signals.GROUND} and commands"
+        )
+    if not (sample_period > 0 and np.isfinite(sample_period)):
+        raise AbraceError(f"design: sample_period {sample_period} s, expected more than zero")
+    commands = model.inputs[1:]
+    plant = balanced(delayed(model, sample_period))
+    b, e = plant.b[:, 1:], plant.b[:, :1]
+    gain = regulator(
+        plant.a,
+        b,
+        plant.c,
+        plant.d[:, 1:],
+        np.diag(weights.diagonal(plant.outputs)),
+        np.diag(weights.diagonal(commands)),
+    )
+    measured = plant.select(weights.measured)
+    d_y, f_y = measured.d[:, 1:], measured.d[:, :1]
+    noise = weights.noise_to_excitation * np.eye(len(weights.measured))
+    injection = kalman(plant.a, e, measured.c, f_y, noise)
+    continuous = LinearModel(
+        plant.a - b @ gain - injection @ (measured.c - d_y @ gain),
+        injection,
+        -gain,
+        np.zeros((len(commands), len(weights.measured))),
+        tuple(weights.measured),
+        commands,
+    )
+    controller = replace(
+        tustin(continuous, sample_period),
+        provenance={"method": "LQG", "weights": weights.model_dump(), "model": model.provenance, "order": model.order},
+    )
+    for given in (model, *others):
+        if not is_stable(given, controller):
+            which = "its own model" if given is model else f"the model of {given.order} states"
+            raise AbraceError(f"design: the closed loop with {which} is not stable, expected other weights or model")
+    return ControllerDesign(controller, continuous, plant, gain, injection, weights)
+
+
+def delayed(model: LinearModel, sample_period: float) -> LinearModel:
+    """The model with each command delayed by 1.5 sample periods and its input delay, by Pade's approximation (2, 2).
+
+    (1 - s t/2 + (s t)^2/12) / (1 + s t/2 + (s t)^2/12) is all-pass; for 3.8 ms its phase is 0.02 degrees off at 30 Hz.
+    """
+    if model.input_delay[0]:
+        raise AbraceError(f"design: input {signals.GROUND} with a delay of {model.input_delay[0]} s, expected none")
+    a, b, c, d = model.a, model.b.copy(), model.c, model.d
+    n, root = model.order, np.sqrt(12.0)
+    for j in range(1, len(model.inputs)):
+        delay = 1.5 * sample_period + model.input_delay[j]
+        share = np.array([[-root, 0.0]])
+        a = np.block(
+            [
+                [a, np.pad(model.b[:, [j]] @ share, ((0, len(a) - n), (0, 0)))],
+                [np.zeros((2, len(a))), np.array([[-6.0, -root], [root, 0.0]]) / delay],
+            ]
+        )
+        drive = np.zeros((2, len(model.inputs)))
+        drive[0, j] = root / delay
+        b = np.vstack([b, drive])
+        c = np.hstack([c, model.d[:, [j]] @ share])
+    return LinearModel(a, b, c, d, model.inputs, model.outputs, provenance=model.provenance)
+
+
+def balanced(model: LinearModel) -> LinearModel:
+    """The same model with its states scaled (by powers of two) so that A's rows and columns are of one size.
+
+    Metres, newtons and their rates stand side by side in a rig's states; nothing here should depend on it.
+    """
+    _, (scale, _) = linalg.matrix_balance(model.a, permute=False, separate=True)
+    return replace(model, a=model.a * scale / scale[:, None], b=model.b / scale[:, None], c=model.c * scale)
+
+
+def regulator(
+    a: NDArray[np.float64],
+    b: NDArray[np.float64],
+    c: NDArray[np.float64],
+    d: NDArray[np.float64],
+    q: NDArray[np.float64],
+    r: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """K of U = -K Z that minimises the mean of z' Q z + U' R U with z = C Z + D U (Eq. 11).
+
+    Parameters
+    ----------
+    a, b, c, d
+        Shapes (states, states), (states, commands), (outputs, states), (outputs, commands).
+    q, r
+        Weights (outputs, outputs) and (commands, commands).
+
+    Returns
+    -------
+    NDArray
+        (commands, states).
+    """
+    cross, r = c.T @ q @ d, r + d.T @ q @ d
+    solution = riccati(a, b, c.T @ q @ c, r, cross, "regulator")
+    return np.asarray(linalg.solve(r, b.T @ solution + cross.T, assume_a="pos"))
+
+
+def kalman(
+    a: NDArray[np.float64],
+    e: NDArray[np.float64],
+    c: NDArray[np.float64],
+    f: NDArray[np.float64],
+    v: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Gain L of the Kalman filter for Z' = A Z + E W, y = C Z + F W + v, with W white of unit intensity.
+
+    Parameters
+    ----------
+    a, e, c, f
+        Shapes (states, states), (states, excitations), (measured, states), (measured, excitations).
+    v
+        Intensity of the measurement noise (measured, measured).
+
+    Returns
+    -------
+    NDArray
+        (states, measured).
+    """
+    return regulator(a.T, c.T, e.T, f.T, np.eye(e.shape[1]), v).T
+
+
+def riccati(
+    a: NDArray[np.float64],
+    b: NDArray[np.float64],
+    q: NDArray[np.float64],
+    r: NDArray[np.float64],
+    s: NDArray[np.float64],
+    name: str,
+) -> NDArray[np.float64]:
+    """The stabilising solution of A'X + X A - (X B + S) R^-1 (B'X + S') + Q = 0, checked.
+
+    States are scaled so that A is balanced, and inputs so that R has a unit diagonal: metres beside newtons do no harm.
+
+    Raises
+    ------
+    AbraceError
+        Naming the equation `name`, if there is no solution, it leaves a residual, or it is not stabilising.
+    """
+    _, (scale, _) = linalg.matrix_balance(a, permute=False, separate=True)
+    root = np.sqrt(np.diag(r))
+    a = a * scale / scale[:, None]
+    b = b / scale[:, None] / root
+    q = q * np.outer(scale, scale)
+    s = s * scale[:, None] / root
+    r = r / np.outer(root, root)
+    # X scales with Q, R and S together: make Q and B R^-1 B' of one size
+    size = np.sqrt(linalg.norm(q) / linalg.norm(b @ linalg.solve(r, b.T, assume_a="pos"))) or 1.0
+    q, r, s = q / size, r / size, s / size
+    try:
+        x = linalg.solve_continuous_are(a, b, q, r, s=s)
+    except (linalg.LinAlgError, ValueError) as error:
+        raise AbraceError(f"design: the {name}'s Riccati equation has no solution ({error})") from error
+    gain = linalg.solve(r, b.T @ x + s.T, assume_a="pos")
+    terms = (a.T @ x, x @ a, -(x @ b + s) @ gain, q)
+    residual = linalg.norm(sum(terms)) / max(linalg.norm(term) for term in terms)
+    if not residual < RESIDUAL_LIMIT:
+        raise AbraceError(
+            f"design: the {name}'s Riccati equation is left with a relative residual of {residual:.1e}, "
+            f"expected less than {RESIDUAL_LIMIT:.0e}"
+        )
+    if linalg.eigvals(a - b @ gain).real.max() >= 0:
+        raise AbraceError(f"design: the {name} is not stable")
+    return np.asarray(x / np.outer(scale, scale) * size)
+
+
+def tustin(model: LinearModel, sample_period: float) -> LinearModel:
+    """The bilinear transformation of a continuous model: Eq. (12) to Eq. (13)."""
+    half = model.a * (sample_period / 2)
+    inverse = linalg.inv(np.eye(model.order) - half)
+    b = inverse @ model.b * sample_period
+    return replace(
+        model,
+        a=inverse @ (np.eye(model.order) + half),
+        b=b,
+        c=model.c @ inverse,
+        d=model.d + model.c @ b / 2,
+        sample_period=sample_period,
+    )

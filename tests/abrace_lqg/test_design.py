@@ -1,0 +1,202 @@
+"""LQG design: gains against python-control, cross terms and correlated noise against closed forms, failures named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import LinearModel
+from abrace_core.simulation import discretize
+from abrace_lqg.design import delayed, design, kalman, regulator, riccati, tustin
+from abrace_lqg.margins import closed_loop
+from abrace_lqg.weights import Weights
+
+PERIOD = 0.002
+
+
+def small_system(states: int = 5, inputs: int = 2, outputs: int = 3) -> tuple[np.ndarray, ...]:
+    random = np.random.default_rng(7)
+    a = random.standard_normal((states, states)) - 1.5 * np.eye(states)
+    return (
+        a,
+        random.standard_normal((states, inputs)),
+        random.standard_normal((outputs, states)),
+        random.standard_normal((outputs, inputs)),
+    )
+
+
+def storey(displacement_unit: float = 1.0, delay: float = 0.0) -> LinearModel:
+    """One floor of 1000 kg at 2 Hz pushed by U: outputs x1 and the absolute acceleration a1."""
+    mass, omega, zeta = 1000.0, 4 * np.pi, 0.01
+    a = np.array([[0.0, displacement_unit], [-(omega**2) / displacement_unit, -2 * zeta * omega]])
+    b = np.array([[0.0, 0.0], [-1.0, 1 / mass]])
+    c = np.array([[1 / displacement_unit, 0.0], [-(omega**2) / displacement_unit, -2 * zeta * omega]])
+    d = np.array([[0.0, 0.0], [0.0, 1 / mass]])
+    return LinearModel(a, b, c, d, ("w", "U"), ("x1", "a1"), input_delay=(0.0, delay))
+
+
+def weights(**changes: float) -> Weights:
+    kinds = {"displacement": 1e10, "stroke": 0.0, "acceleration": 1e6, "force": 0.0, "command": 1.0} | changes
+    return Weights.model_validate({"measured": ["a1"], "weights": kinds, "noise_to_excitation": 0.1})
+
+
+def test_regulator_gain_agrees_with_python_control():
+    a, b, c, d = small_system()
+    q, r = np.diag([1.0, 2.0, 0.5]), np.diag([1.0, 3.0])
+    expected, _, _ = control.lqr(a, b, c.T @ q @ c, r + d.T @ q @ d, c.T @ q @ d, method="scipy")
+    np.testing.assert_allclose(regulator(a, b, c, d, q, r), expected, rtol=1e-8, atol=1e-10)
+
+
+def test_filter_gain_agrees_with_python_control_when_noises_are_independent():
+    a, e, c, _ = small_system()
+    v = np.diag([0.1, 0.2, 0.3])
+    expected, _, _ = control.lqe(a, e, c, np.eye(2), v, method="scipy")
+    np.testing.assert_allclose(kalman(a, e, c, np.zeros((3, 2)), v), expected, rtol=1e-8, atol=1e-10)
+
+
+def test_cross_terms_equal_the_problem_in_which_they_are_completed_away():
+    a, b, c, d = small_system()
+    q, r = np.diag([1.0, 2.0, 0.5]), np.diag([1.0, 3.0])
+    # U = U' - N x with N = R'^-1 D'QC turns z'Qz + U'RU into x'Q'x + U''R'U'', without a cross term
+    whole = r + d.T @ q @ d
+    shift = np.linalg.solve(whole, d.T @ q @ c)
+    rest = c.T @ q @ c - shift.T @ whole @ shift
+    rest = (rest + rest.T) / 2
+    equivalent, _, _ = control.lqr(a - b @ shift, b, rest, whole, method="scipy")
+    np.testing.assert_allclose(regulator(a, b, c, d, q, r), equivalent + shift, rtol=1e-8, atol=1e-10)
+
+
+def test_correlated_noise_equals_the_problem_in_which_it_is_subtracted():
+    a, e, c, f = small_system()
+    v = np.diag([0.1, 0.2, 0.3])
+    # E W less its projection T (F W + v) is independent of the measurement: Z' = (A - T C) Z + T y + (E W - T(F W + v))
+    whole = f @ f.T + v
+    share = e @ f.T @ np.linalg.inv(whole)
+    rest = e @ e.T - share @ whole @ share.T
+    rest = (rest + rest.T) / 2
+    equivalent, _, _ = control.lqe(a - share @ c, np.eye(5), c, rest, whole, method="scipy")
+    np.testing.assert_allclose(kalman(a, e, c, f, v), equivalent + share, rtol=1e-8, atol=1e-10)
+
+
+def test_a_double_integrator_gets_its_textbook_gain():
+    a, b = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
+    gain = regulator(a, b, np.array([[1.0, 0.0]]), np.zeros((1, 1)), np.eye(1), np.eye(1))
+    np.testing.assert_allclose(gain, [[1.0, np.sqrt(2)]], rtol=1e-12)
+
+
+def test_a_filter_of_one_state_with_feedthrough_has_its_closed_form():
+    # z' = -z + w, y = z + w + v: P = -(k) + sqrt(k^2 + ...) from (P + 1)^2 / (1 + v) = 1 - 2 P
+    v = 0.5
+    gain = kalman(-np.eye(1), np.eye(1), np.eye(1), np.eye(1), v * np.eye(1))
+    s = 1 + v
+    p = -(1 + s) + np.sqrt((1 + s) ** 2 + s - 1)
+    np.testing.assert_allclose(gain, [[(p + 1) / s]], rtol=1e-12)
+
+
+def test_an_unstabilisable_model_is_refused_by_name():
+    a = np.diag([1.0, -1.0])
+    with pytest.raises(AbraceError, match="regulator"):
+        riccati(a, np.array([[0.0], [1.0]]), np.eye(2), np.eye(1), np.zeros((2, 1)), "regulator")
+
+
+def test_a_delayed_command_has_unit_gain_and_the_whole_delays_phase():
+    model = storey(delay=0.0008)
+    omega = np.linspace(1, 2 * np.pi * 30, 200)
+    ratio = delayed(model, PERIOD).frequency_response(omega) / replace(model, input_delay=(0, 0)).frequency_response(
+        omega
+    )
+    np.testing.assert_allclose(ratio[:, :, 1], np.tile(np.exp(-1j * omega * 0.0038)[:, None], 2), atol=5e-4)
+    np.testing.assert_allclose(np.abs(ratio[:, :, 1]), 1, rtol=1e-9)
+    np.testing.assert_allclose(ratio[:, 0, 0], 1, rtol=1e-9)
+
+
+def test_the_delay_of_the_design_model_is_what_lies_between_sample_and_effect():
+    # a command from sample k, in force from k+1 to k+2: computation and hold, seen at the sampling instants
+    model = storey(delay=0.0008)
+    held = discretize(model, PERIOD, {"w": "first"})
+    omega = np.linspace(1, 60, 50)
+    true = held.frequency_response(omega)[:, 0, 1] * np.exp(-1j * omega * PERIOD)
+    np.testing.assert_allclose(delayed(model, PERIOD).frequency_response(omega)[:, 0, 1] / true, 1, atol=2e-3)
+
+
+def test_eq_12_is_the_filter_that_knows_its_own_command():
+    result = design(storey(), weights(), PERIOD)
+    model, k, filter_gain = result.design_model, result.regulator_gain, result.filter_gain
+    c, d = model.c[[1]], model.d[[1], 1:]
+    expected = model.a - model.b[:, 1:] @ k - filter_gain @ (c - d @ k)
+    np.testing.assert_allclose(result.continuous.a, expected, rtol=1e-12)
+    np.testing.assert_array_equal(result.continuous.c, -k)
+    assert not result.continuous.d.any()
+
+
+def test_the_discrete_controller_answers_as_the_continuous_one_below_10_hz():
+    result = design(storey(delay=0.0008), weights(), PERIOD)
+    omega = np.linspace(0.1, 2 * np.pi * 10, 500)
+    discrete = result.controller.frequency_response(omega)[:, 0, 0]
+    continuous = result.continuous.frequency_response(omega)[:, 0, 0]
+    assert np.abs(discrete - continuous).max() < 2e-3 * np.abs(continuous).max()
+    warped = np.tan(omega * PERIOD / 2) * 2 / PERIOD
+    np.testing.assert_allclose(discrete, result.continuous.frequency_response(warped)[:, 0, 0], rtol=1e-9)
+
+
+def test_tustin_of_an_integrator_is_the_trapezoidal_rule():
+    model = LinearModel(np.zeros((1, 1)), np.eye(1), np.eye(1), np.zeros((1, 1)), ("y",), ("U",))
+    z = np.exp(1j * 0.3)
+    found = tustin(model, 0.1).frequency_response(3.0)[0, 0, 0]
+    assert found == pytest.approx(0.05 * (z + 1) / (z - 1))
+
+
+def test_control_damps_the_floor():
+    model = storey()
+    loop = closed_loop(model, design(model, weights(), PERIOD).controller)
+    pole = min(loop.poles(), key=lambda p: abs(p - 4j * np.pi))
+    assert -pole.real / abs(pole) > 0.1
+
+
+def test_the_units_of_the_states_do_not_matter():
+    plain = design(storey(), weights(), PERIOD).controller
+    odd = design(storey(displacement_unit=1e9), weights(), PERIOD).controller
+    omega = np.geomspace(0.1, 1000, 200)
+    np.testing.assert_allclose(odd.frequency_response(omega), plain.frequency_response(omega), rtol=1e-8)
+
+
+def test_the_controller_carries_names_period_and_provenance():
+    controller = design(replace(storey(), provenance={"rig": "one storey"}), weights(), PERIOD).controller
+    assert (controller.inputs, controller.outputs, controller.sample_period) == (("a1",), ("U",), PERIOD)
+    assert controller.provenance["model"] == {"rig": "one storey"}
+    assert controller.provenance["weights"] == weights().model_dump()
+
+
+def test_a_model_that_the_controller_drives_unstable_is_refused():
+    model = storey()
+    # the same floor with a tenth of the mass and the sign of its accelerometer turned
+    other = replace(model, b=model.b * [1, 10], d=-model.d * 10, c=model.c * [[1], [-1]])
+    strong = weights(displacement=1e13)
+    design(model, strong, PERIOD)
+    with pytest.raises(AbraceError, match="closed loop with the model of 2 states is not stable"):
+        design(model, strong, PERIOD, (other,))
+
+
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        (discretize(storey(), PERIOD), "continuous"),
+        (storey().select(inputs=["w"]), "commands"),
+        (storey().select(inputs=["U", "w"]), "inputs U, w"),
+        (replace(storey(), input_delay=(0.001, 0.0)), "input w with a delay"),
+        (storey().select(outputs=["x1"]), "no output 'a1'"),
+        (replace(storey(), outputs=("strain", "a1")), "'strain'"),
+    ],
+)
+def test_a_model_that_does_not_fit_is_refused(model: LinearModel, said: str):
+    with pytest.raises(AbraceError, match=said):
+        design(model, weights(), PERIOD)
+
+
+def test_a_sample_period_of_zero_is_refused():
+    with pytest.raises(AbraceError, match="sample_period"):
+        design(storey(), weights(), 0.0)

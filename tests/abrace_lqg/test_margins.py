@@ -1,0 +1,162 @@
+"""Margins against loops whose crossings are known in closed form, and the closed loop against the step-by-step one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import LinearModel
+from abrace_core.simulation import simulate, simulate_closed_loop
+from abrace_lqg.margins import closed_loop, closed_loop_poles, is_stable, loop_response, margins, sampled
+
+PERIOD = 0.01
+
+
+def integrator() -> LinearModel:
+    """x' = w + U, measured as y1."""
+    return LinearModel(np.zeros((1, 1)), np.ones((1, 2)), np.eye(1), np.zeros((1, 2)), ("w", "U"), ("y1",))
+
+
+def gain(factor: float) -> LinearModel:
+    """U = factor y1, at once (one state that does nothing)."""
+    zero = np.zeros((1, 1))
+    return LinearModel(np.eye(1) / 2, zero, zero, np.array([[factor]]), ("y1",), ("U",), PERIOD)
+
+
+def oscillator(frequency: float, damping: float) -> LinearModel:
+    """x'' + 2 zeta omega x' + omega^2 x = w + U, measured as y1 = x'."""
+    a = np.array([[0.0, 1.0], [-(frequency**2), -2 * damping * frequency]])
+    b = np.array([[0.0, 0.0], [1.0, 1.0]])
+    return LinearModel(a, b, np.array([[0.0, 1.0]]), np.zeros((1, 2)), ("w", "U"), ("y1",))
+
+
+@pytest.mark.parametrize("k", [5.0, 40.0, 70.0])
+def test_an_integrator_has_the_margins_of_its_closed_form(k: float):
+    # L = k T / (z - 1) / z: |L| = k T / (2 sin(w T/2)), phase -90 degrees - 3 w T/2
+    found = margins(integrator(), gain(-k))
+    crossing = 2 * np.arcsin(k * PERIOD / 2) / PERIOD
+    phase = np.pi / 2 - 1.5 * crossing * PERIOD
+    assert found.gain == pytest.approx(-20 * np.log10(k * PERIOD), abs=1e-6)  # at w T = 60 degrees |L| is k T
+    assert found.phase == pytest.approx(np.degrees(phase), abs=1e-6)
+    assert found.delay == pytest.approx(phase / crossing, rel=1e-8)
+
+
+def test_the_loop_is_unstable_just_beyond_its_gain_margin():
+    k = 40.0
+    edge = 10 ** (margins(integrator(), gain(-k)).gain / 20)
+    assert is_stable(integrator(), gain(-k * edge * 0.9999))
+    assert not is_stable(integrator(), gain(-k * edge * 1.0001))
+
+
+def test_the_loop_is_unstable_just_beyond_its_delay_margin():
+    # a margin of whole samples, so that the delay is exact: w T = 2 arcsin(k T / 2), delay T
+    crossing = np.pi / 2 / 2.5 / PERIOD
+    k = 2 / PERIOD * np.sin(crossing * PERIOD / 2)
+    assert margins(integrator(), gain(-k)).delay == pytest.approx(PERIOD, rel=1e-8)
+    shift = LinearModel(np.zeros((1, 1)), np.eye(1), np.eye(1), np.zeros((1, 1)), ("y1",), ("U",), PERIOD)
+    assert is_stable(
+        integrator(), LinearModel(shift.a, shift.b, -0.999 * k * shift.c, shift.d, ("y1",), ("U",), PERIOD)
+    )
+    assert not is_stable(
+        integrator(), LinearModel(shift.a, shift.b, -1.001 * k * shift.c, shift.d, ("y1",), ("U",), PERIOD)
+    )
+
+
+def test_a_loop_that_a_lower_gain_makes_unstable_has_that_as_its_margin():
+    # an unstable first-order plant, x' = x + U: U = -k x needs k above a bound near 1
+    plant = LinearModel(np.eye(1), np.ones((1, 2)), np.eye(1), np.zeros((1, 2)), ("w", "U"), ("y1",))
+    found = margins(plant, gain(-1.5))
+    least = 10 ** (-found.gain / 20)
+    assert is_stable(plant, gain(-1.5 * least * 1.0001))
+    assert not is_stable(plant, gain(-1.5 * least * 0.9999))
+
+
+def test_the_sensitivity_peak_is_the_distance_from_the_critical_point():
+    k = 40.0
+    omega = np.linspace(1, np.pi / PERIOD, 400_000)
+    z = np.exp(1j * omega * PERIOD)
+    expected = np.abs(1 / (1 + k * PERIOD / (z - 1) / z)).max()
+    assert margins(integrator(), gain(-k)).sensitivity_peak == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_lightly_damped_crossing_is_not_missed():
+    # |L| is above 1 only in a band of 0.02 rad/s around the resonance, where its phase is far from -180 degrees
+    plant = oscillator(20.0, 1e-4)
+    found = margins(plant, gain(-0.008))
+    assert found.delay < 1.0
+    omega = np.linspace(19.9, 20.1, 200_001)
+    loop = loop_response(plant, gain(-0.008), omega)
+    crossings = np.flatnonzero(np.diff(np.abs(loop) > 1))
+    assert len(crossings) == 2
+    angles = np.mod(np.angle(-loop[crossings]), 2 * np.pi)
+    assert found.phase == pytest.approx(np.degrees(np.minimum(angles, 2 * np.pi - angles)).min(), abs=0.1)
+    assert found.delay == pytest.approx((angles / omega[crossings]).min(), rel=1e-3)
+
+
+def test_a_loop_below_unit_gain_has_no_phase_or_delay_margin_to_lose():
+    found = margins(oscillator(20.0, 0.05), gain(-0.5))
+    assert found.phase == 180.0
+    assert found.delay == np.inf
+
+
+def test_negative_feedback_is_a_negative_controller():
+    omega = np.array([3.0])
+    z = np.exp(1j * omega * PERIOD)
+    np.testing.assert_allclose(loop_response(integrator(), gain(-2.0), omega), 2 * PERIOD / (z - 1) / z)
+
+
+def two_floors() -> tuple[LinearModel, LinearModel]:
+    random = np.random.default_rng(3)
+    a = random.standard_normal((4, 4)) - 4 * np.eye(4)
+    model = LinearModel(
+        a,
+        random.standard_normal((4, 3)),
+        random.standard_normal((3, 4)),
+        random.standard_normal((3, 3)),
+        ("w", "U1", "U2"),
+        ("x1", "a1", "a2"),
+        input_delay=(0.0, 0.004, 0.013),
+    )
+    controller = LinearModel(
+        0.3 * np.eye(2),
+        0.1 * random.standard_normal((2, 2)),
+        random.standard_normal((2, 2)),
+        0.1 * random.standard_normal((2, 2)),
+        ("a2", "a1"),
+        ("U1", "U2"),
+        PERIOD,
+    )
+    return model, controller
+
+
+def test_the_closed_loop_is_the_one_that_is_stepped_sample_by_sample():
+    model, controller = two_floors()
+    plant = sampled(model, PERIOD)
+    ground = np.random.default_rng(1).standard_normal(300)
+    outputs, commands = simulate_closed_loop(plant, controller, ground, np.full(2, 1e9))
+    found = simulate(closed_loop(model, controller), ground[:, None])
+    np.testing.assert_allclose(found[:, :3], outputs, atol=1e-10)
+    # a command in force from sample k on is, at sample k+1, the one in force until there
+    np.testing.assert_allclose(found[:-1, 3:], commands[1:], atol=1e-10)
+
+
+def test_poles_of_the_loop_without_control_are_the_models_own():
+    found = closed_loop_poles(oscillator(20.0, 0.05), gain(0.0))
+    np.testing.assert_allclose(found, [(20.0, 0.05)], rtol=1e-9)
+
+
+def test_margins_of_an_unstable_loop_are_refused():
+    with pytest.raises(AbraceError, match="not stable"):
+        margins(integrator(), gain(5.0))
+
+
+def test_margins_of_several_commands_are_refused():
+    model, controller = two_floors()
+    with pytest.raises(AbraceError, match="expected one command"):
+        margins(model, controller)
+
+
+def test_a_model_of_another_sample_period_is_refused():
+    with pytest.raises(AbraceError, match=r"0\.02"):
+        closed_loop(sampled(integrator(), 0.02), gain(-1.0))

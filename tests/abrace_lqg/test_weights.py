@@ -1,0 +1,70 @@
+"""The weights file: what it says, and how it refuses what it cannot mean."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from abrace_core.errors import AbraceError
+from abrace_lqg.weights import kind, load_weights
+
+LQG3 = Path(__file__).parents[2] / "src/abrace_lqg/config/lqg3.yaml"
+G = 9.80665
+
+
+def changed(tmp_path: Path, old: str, new: str) -> Path:
+    text = LQG3.read_text()
+    assert old in text
+    path = tmp_path / "weights.yaml"
+    path.write_text(text.replace(old, new))
+    return path
+
+
+def test_lqg3_measures_three_accelerations_with_the_papers_units_as_commented():
+    weights = load_weights(LQG3)
+    assert weights.measured == ["a1", "a2", "a3"]
+    # a displacement of 1 cm costs as much as 10^(4.466/2) kgf of command, an acceleration of 1 g as 10^(8.202/2) kgf
+    assert weights.weights.displacement * 0.01**2 == pytest.approx(10**4.466 * G**2, rel=1e-3)
+    assert weights.weights.acceleration * G**2 == pytest.approx(10**8.202 * G**2, rel=1e-3)
+    assert weights.weights.command == 1.0
+    assert weights.noise_to_excitation == pytest.approx(10**-0.153, rel=1e-3)
+
+
+def test_each_signal_gets_the_weight_of_its_kind():
+    weights = load_weights(LQG3)
+    kinds = weights.weights
+    expected = [kinds.displacement, kinds.stroke, kinds.acceleration, kinds.force, kinds.command]
+    np.testing.assert_array_equal(weights.diagonal(["x2", "xf", "a3", "f1", "U"]), expected)
+
+
+def test_a_signal_of_no_known_kind_is_refused():
+    with pytest.raises(AbraceError, match="'strain'"):
+        kind("strain")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("  command: 1.0 ", "  command: 0.0 ", "weights.command"),
+        ("  force: 0.0 ", "  force: -1.0 ", "weights.force"),
+        ("  stroke: 0.0 ", "  strokes: 0.0 ", "weights.stroke: key is missing|weights.strokes: unknown key"),
+        ("displacement: 2.8122e+10", "displacement: .nan", "weights.displacement"),
+        ("[a1, a2, a3]", "[a1, a1]", "measured.*each name once"),
+        ("[a1, a2, a3]", "[]", "measured"),
+        ("noise_to_excitation: 0.7031", "noise_to_excitation: 0", "noise_to_excitation"),
+        ("noise_to_excitation: 0.7031", "noise_to_excitation: loud", "noise_to_excitation.*'loud'"),
+        ("measured:", "measured: [", "not YAML"),
+    ],
+)
+def test_a_mistake_is_named_with_file_and_key(tmp_path: Path, old: str, new: str, said: str):
+    path = changed(tmp_path, old, new)
+    with pytest.raises(AbraceError, match=said) as error:
+        load_weights(path)
+    assert str(path) in str(error.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path):
+    with pytest.raises(AbraceError, match=r"absent\.yaml: No such file"):
+        load_weights(tmp_path / "absent.yaml")
