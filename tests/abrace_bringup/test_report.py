@@ -181,20 +181,34 @@ def test_markdown_holds_the_tables_and_links_the_figures(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "No such file"),
         ("{", "not JSON"),
         ("[]", "expected "),
         ("{}", r"(table|test|lockstep): expected Field required"),
     ],
 )
-def test_a_missing_or_malformed_file_is_named_and_nothing_is_written(tmp_path, name, content, message):
+def test_a_malformed_file_is_named_and_nothing_is_written(tmp_path, name, content, message):
     write(tmp_path, example())
-    (tmp_path / name).unlink()
-    if content is not None:
-        (tmp_path / name).write_text(content)
+    (tmp_path / name).write_text(content)
     with pytest.raises(AbraceError, match=f"results file {re.escape(str(tmp_path / name))}: .*{message}"):
         make_report(tmp_path)
-    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".json"] * (2 if content is None else 3)
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".json"] * 3
+
+
+def test_a_folder_without_timing_is_no_campaigns(tmp_path):
+    write(tmp_path, example())
+    (tmp_path / "timing.json").unlink()
+    with pytest.raises(AbraceError, match=r"timing\.json: No such file"):
+        make_report(tmp_path)
+
+
+@pytest.mark.parametrize(("name", "key"), [("poles.json", "poles"), ("comparison.json", "table1")])
+def test_what_no_step_was_about_is_left_out(tmp_path, name, key):
+    write(tmp_path, example())
+    (tmp_path / name).unlink()
+    make_report(tmp_path)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert key not in summary
+    assert "timing" in summary
 
 
 def test_wrong_values_are_named_with_their_key(tmp_path):

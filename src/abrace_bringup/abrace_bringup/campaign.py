@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from abrace_bringup.campaign_file import (
+    CONTROLLER_FILE,
     BandedNoise,
     Campaign,
     Design,
@@ -82,9 +83,11 @@ class Runner:
             command += ["--params-file", self.controller_file(parameters["name"])]
         group.start(executable, command, folder / f"{step}_{executable}.log", self.environment)
 
-    def controller_file(self, step: str) -> Path:
-        """Where a design step puts its controller."""
-        return self.results / step / f"{step}.yaml"
+    def controller_file(self, controller: str) -> Path:
+        """A controller's file: given as one, or where the design step of that name puts it."""
+        if controller.endswith(CONTROLLER_FILE):
+            return Path(controller)
+        return self.results / controller / f"{controller}{CONTROLLER_FILE}"
 
     def run_test(self, name: str, test: RigTest, seed: int, shown: ShownStep) -> dict[str, Any]:
         """Run the live graph and record it; returns the step's timing."""
@@ -240,7 +243,7 @@ class Runner:
             "sample_period": repr(1 / self.rig.sample_rate),
             "lockstep": str(self.campaign.lockstep).lower(),
             "sensor_seed": str(seed),
-            "controller": test.controller or "",
+            "controller": Path(test.controller).stem if test.controller else "",
         }
         if test.controller:
             facts["controller_file"] = self.controller_file(test.controller).read_text(encoding="utf-8")

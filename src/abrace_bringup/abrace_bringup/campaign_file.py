@@ -20,6 +20,7 @@ NonNegative = Annotated[float, pydantic.Field(ge=0, strict=True)]
 Text = Annotated[str, pydantic.Field(min_length=1)]
 
 WHITE_NOISE = "white_noise"
+CONTROLLER_FILE = ".yaml"
 _FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -71,7 +72,10 @@ GroundMotion = Annotated[
 
 
 class RigTest(Checked):
-    """A run of the live graph, recorded to a bag: duration [s], excitation of the braces [N], or a design to run."""
+    """A run of the live graph, recorded to a bag.
+
+    duration [s]; excitation of the braces [N], or a controller: an earlier design step or a controller file.
+    """
 
     duration: Positive
     ground_motion: GroundMotion | None = None
@@ -193,7 +197,9 @@ def _check_references(where: str, task: Task, earlier: dict[str, Task]) -> None:
                 raise AbraceError(
                     f"{where}: test.controller: {controller!r} beside excitation, expected one of the two"
                 )
-            refer("test.controller", controller, Design, "an earlier design step")
+            if not controller.endswith(CONTROLLER_FILE):
+                expected = f"an earlier design step or a file that ends in {CONTROLLER_FILE}"
+                refer("test.controller", controller, Design, expected)
         case Identify():
             refer("identify.table", task.table, RigTest, "an earlier test of the table alone", _moves_table_alone)
             refer(

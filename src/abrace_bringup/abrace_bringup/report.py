@@ -37,10 +37,10 @@ PAPER_ERROR = mean_relative_error(TABLE_1_SIMULATION, TABLE_1_EXPERIMENT)
 
 
 def summarise(results: Results) -> dict[str, Any]:
-    """The content of summary.json."""
-    comparison = results.comparison
-    return {
-        "poles": {
+    """The content of summary.json: what the campaign's steps have found out."""
+    summary: dict[str, Any] = {"timing": _timing(results.timing)}
+    if results.poles is not None:
+        summary["poles"] = {
             test: poles.model_dump()
             | {
                 "largest_relative_error": {
@@ -49,19 +49,21 @@ def summarise(results: Results) -> dict[str, Any]:
                 }
             }
             for test, poles in _by_test(results.poles)
-        },
-        "test": comparison.test.model_dump(),
-        "units": {name: paper_unit(name)[1] for name in comparison.measured},
-        "table1": {
-            "measured": _dumped(comparison.measured),
-            "simulated": _dumped(comparison.simulated),
-            "error_vs_paper_experiment": _error_vs_paper(comparison, comparison.measured),
-            "simulated_error_vs_paper_experiment": _error_vs_paper(comparison, comparison.simulated),
-        },
-        "uncontrolled": _dumped(comparison.uncontrolled),
-        "simulated_vs_measured": _dumped(comparison.simulated_vs_measured),
-        "timing": _timing(results.timing),
-    }
+        }
+    if (comparison := results.comparison) is not None:
+        summary |= {
+            "test": comparison.test.model_dump(),
+            "units": {name: paper_unit(name)[1] for name in comparison.measured},
+            "table1": {
+                "measured": _dumped(comparison.measured),
+                "simulated": _dumped(comparison.simulated),
+                "error_vs_paper_experiment": _error_vs_paper(comparison, comparison.measured),
+                "simulated_error_vs_paper_experiment": _error_vs_paper(comparison, comparison.simulated),
+            },
+            "uncontrolled": _dumped(comparison.uncontrolled),
+            "simulated_vs_measured": _dumped(comparison.simulated_vs_measured),
+        }
+    return summary
 
 
 def _dumped(rows: Mapping[str, Checked]) -> dict[str, Any]:
@@ -105,14 +107,13 @@ def _largest_error(poles: Poles, key: str) -> float | None:
 
 
 def tables(results: Results) -> list[Table]:
-    """Poles, Table 1, uncontrolled beside controlled, simulated against measured, timing."""
-    return [
-        *(_pole_table(test, poles) for test, poles in _by_test(results.poles)),
-        _table_1(results.comparison),
-        _reduction_table(results.comparison),
-        _agreement_table(results.comparison),
-        _timing_table(results.timing),
-    ]
+    """Poles, Table 1, uncontrolled beside controlled, simulated against measured, timing: those that there are."""
+    found = []
+    if results.poles is not None:
+        found += [_pole_table(test, poles) for test, poles in _by_test(results.poles)]
+    if (comparison := results.comparison) is not None:
+        found += [_table_1(comparison), _reduction_table(comparison), _agreement_table(comparison)]
+    return [*found, _timing_table(results.timing)]
 
 
 def _pole_table(test: str, poles: Poles) -> Table:

@@ -1,5 +1,7 @@
 """The files of results that a report is made from; each is a JSON object with these keys and no others.
 
+A campaign always writes timing.json, and the other two where it has such a step.
+
 poles.json, from an identify step; frequencies [rad/s], slowest first; `true` is [] where nobody knows the rig's own::
 
     {"table":   {"identified": [{"frequency": 7.28, "damping_ratio": 0.0151}, ...], "true": [...]},
@@ -125,10 +127,10 @@ class Timing(Checked):
 
 @dataclass(frozen=True)
 class Results:
-    """What a campaign found out."""
+    """What a campaign found out; None for what none of its steps was about."""
 
-    poles: AllPoles
-    comparison: Comparison
+    poles: AllPoles | None
+    comparison: Comparison | None
     timing: Timing
 
 
@@ -146,9 +148,10 @@ def read_results(directory: Path | str) -> Results:
     directory = Path(directory)
     if not directory.is_dir():
         raise AbraceError(f"results directory {directory}: expected a directory that a campaign wrote")
+    poles, comparison = directory / "poles.json", directory / "comparison.json"
     return Results(
-        _read(directory / "poles.json", AllPoles),
-        _read(directory / "comparison.json", Comparison),
+        _read(poles, AllPoles) if poles.exists() else None,
+        _read(comparison, Comparison) if comparison.exists() else None,
         _read(directory / "timing.json", Timing),
     )
 

@@ -1,0 +1,114 @@
+"""Speed claims beside their peers, measured in one run: `make bench`. Writes results/bench.json and prints a table.
+
+lockstep  the demo's closed loop (plant, ground motion, controller, logger, each a process of its own) against a bare
+          echo of the same messages between two processes, measured just before and just after
+reading   the responses of that run's bag to arrays, against `rosbags`
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from domain_coordinator import domain_id
+from rosbags.highlevel import AnyReader
+
+from abrace_bringup.campaign import run_campaign
+from abrace_bringup.table import Table
+from abrace_core.bag import read_run
+from abrace_core.controller_file import Controller, save_controller
+from abrace_core.files import write_text
+from abrace_core.node import find_file
+from abrace_lqg.design import design
+from abrace_lqg.weights import load_weights
+from abrace_plant.rig_file import load_rig
+
+HERE = Path(__file__).parent.resolve()
+ECHO_COUNT = 20_000
+SAMPLE_RATE = 500.0
+
+
+def echo_rate() -> float:
+    """Round trips a second of the bare echo."""
+    script = str(HERE / "echo.py")
+    answering = subprocess.Popen([sys.executable, script, "answer"])
+    try:
+        asking = subprocess.run(
+            [sys.executable, script, "ask", str(ECHO_COUNT)], check=True, capture_output=True, text=True
+        )
+    finally:
+        answering.terminate()
+        answering.wait()
+    return float(asking.stdout)
+
+
+def lockstep() -> dict[str, Any]:
+    """Samples a second of the lockstep graph, and of the echo around it."""
+    rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
+    weights = load_weights(find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights"))
+    law = design(rig.model, weights, 1 / SAMPLE_RATE).controller
+    save_controller(Controller("lqg3", law, rig.capacity, "the rig's own", "lqg3", "not needed here"), "lqg3.yaml")
+    before = echo_rate()
+    results = run_campaign(HERE / "lockstep.yaml")
+    after = echo_rate()
+    (step,) = json.loads((results / "timing.json").read_text(encoding="utf-8"))["steps"]
+    rate, echo = step["samples"] / step["run_seconds"], (before + after) / 2
+    return {
+        "samples_per_second": rate,
+        "real_time_factor": rate / SAMPLE_RATE,
+        "echo_per_second": echo,
+        "ratio_to_echo": rate / echo,
+    }
+
+
+def reading(bag: Path) -> dict[str, Any]:
+    """Seconds to read the responses of a bag to arrays, and with rosbags."""
+    begin = time.perf_counter()
+    samples = len(read_run(bag).outputs)
+    seconds = time.perf_counter() - begin
+    begin = time.perf_counter()
+    with AnyReader([bag]) as reader:
+        connections = [c for c in reader.connections if c.msgtype == "abrace_interfaces/msg/Response"]
+        count = sum(1 for c, _, raw in reader.messages(connections) if reader.deserialize(raw, c.msgtype) is not None)
+    peer = time.perf_counter() - begin
+    assert count == samples, f"rosbags read {count} responses, abrace {samples}"
+    return {"samples": samples, "seconds": seconds, "rosbags_seconds": peer, "ratio_to_rosbags": peer / seconds}
+
+
+def main() -> None:
+    """Measure, write, print."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    with tempfile.TemporaryDirectory() as folder, domain_id() as domain:
+        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+        here = Path.cwd()
+        os.chdir(folder)
+        try:
+            found_lockstep = lockstep()
+            (bag,) = Path("bags/bench").glob("*/closed_loop")
+            found_reading = reading(bag)
+        finally:
+            os.chdir(here)
+    write_text("results/bench.json", json.dumps({"lockstep": found_lockstep, "reading": found_reading}, indent=1))
+    one, two = found_lockstep, found_reading
+    echo = f"bare echo {one['echo_per_second']:.0f}/s"
+    rows = (
+        ("lockstep, x real time", f"{one['real_time_factor']:.2f}", "6", echo, f"{one['ratio_to_echo']:.2f}"),
+        (
+            f"reading {two['samples']} responses, s",
+            f"{two['seconds']:.2f}",
+            "-",
+            f"rosbags {two['rosbags_seconds']:.2f}",
+            f"{two['ratio_to_rosbags']:.1f}",
+        ),
+    )
+    print(Table("Speed", ("claim", "reached", "asked", "peer", "ratio"), rows).text())
+
+
+if __name__ == "__main__":
+    main()

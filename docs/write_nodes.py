@@ -1,0 +1,87 @@
+"""Write docs/nodes.md from the nodes' own parameter tables: `python docs/write_nodes.py`, the workspace sourced."""
+
+from __future__ import annotations
+
+import importlib
+import textwrap
+from pathlib import Path
+
+from abrace_core.brace_commander import RATE_LIMIT, BraceCommander
+from abrace_core.files import write_text
+from abrace_core.node import AUTOSTART, AbraceLifecycleNode, Parameter
+
+PAGE = Path(__file__).parent / "nodes.md"
+
+INTRODUCTION = """# Nodes
+
+Written by `python docs/write_nodes.py` from the tables in the nodes' source: what a node declares is what stands here.
+
+Every node publishes its state on `diagnostics` once a second. Topic names are relative: they can be remapped and put in
+a namespace. Parameters are read once, when the node starts; a wrong one ends the node with one line and exit code 2. A
+life cycle node moves something, and does so only while it is active.
+"""
+
+NODES = {
+    "abrace_plant": {
+        "plant": "Takes `brace_command`, `ground_motion`, `emergency_stop`; publishes `response`, `joint_states`, "
+        "`robot_description`, in lockstep `/clock`. Service `~/clear_fault` (std_srvs/Trigger).",
+        "ground_motion": "Takes `response`, `emergency_stop`; publishes `ground_motion`. Action `play_ground_motion`.",
+        "logger": "Takes the topics that it records.",
+    },
+    "abrace_sysid": {
+        "excitation": "Takes `response`, `emergency_stop`; publishes `brace_command`. Service `~/clear_fault`.",
+        "identify": "Offline: two bags to models, poles and figures.",
+        "validate": "Offline: a bag against its simulation by a model.",
+    },
+    "abrace_lqg": {
+        "design": "Offline: a model and weights to a controller file.",
+        "controller": "Takes `response`, `emergency_stop`; publishes `brace_command`. Service `~/clear_fault`. Its "
+        "parameters are a controller file that `design` wrote.",
+    },
+}
+
+
+def node_class(module: object) -> type:
+    """The node class that a node's module defines."""
+    (found,) = (
+        value
+        for value in vars(module).values()
+        if isinstance(value, type) and value.__module__ == module.__name__ and hasattr(value, "publish_diagnostics")
+    )
+    return found
+
+
+def row(parameter: Parameter) -> str:
+    """A parameter as a row of a Markdown table."""
+    default = "required" if parameter.required and not parameter.default else f"`{parameter.default!r}`"
+    kind = parameter.ros_type.name.lower()
+    allowed = ", ".join(f"`{choice}`" for choice in parameter.choices if choice)
+    if parameter.minimum is not None:
+        allowed = f"{parameter.minimum:g} or more" if parameter.maximum is None else f"to {parameter.maximum:g}"
+    return f"| `{parameter.name}` | {kind} | {default} | {allowed} | {parameter.description} |"
+
+
+def page() -> str:
+    """The whole page."""
+    parts = [INTRODUCTION]
+    for package, nodes in NODES.items():
+        for name, topics in nodes.items():
+            module = importlib.import_module(f"{package}.nodes.{name}")
+            found = node_class(module)
+            table = list(module.PARAMETERS)
+            if issubclass(found, BraceCommander):
+                table.append(RATE_LIMIT)
+            lifecycle = issubclass(found, AbraceLifecycleNode)
+            if lifecycle:
+                table.append(AUTOSTART)
+            summary = module.__doc__.split("\n\n")[0].partition(": ")[2].replace("\n", " ")
+            parts.append(f"## {name}\n")
+            parts.append(f"`abrace run {package} {name}`{' (life cycle node)' if lifecycle else ''}: {summary}\n")
+            parts.append("\n".join(textwrap.wrap(topics, 120)) + "\n")
+            parts.append("| parameter | type | default | allowed | what it is |\n|---|---|---|---|---|")
+            parts.append("\n".join(row(parameter) for parameter in table) + "\n")
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    write_text(PAGE, page())
