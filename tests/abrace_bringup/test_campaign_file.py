@@ -38,6 +38,13 @@ def test_the_demo_campaign_is_the_paper_from_end_to_end():
     assert [step.name for step in campaign.steps][:3] == ["table_noise", "command_noise", "model"]
 
 
+def test_a_test_may_run_a_controller_file_that_no_step_designed(tmp_path):
+    path = tmp_path / "campaign.yaml"
+    path.write_text("name: own\nrig: rig.yaml\nsteps: [{name: run, test: {duration: 5.0, controller: own/lqg.yaml}}]")
+    (step,) = load_campaign(path).steps
+    assert step.task == RigTest(duration=5.0, controller="own/lqg.yaml")
+
+
 def test_a_test_without_input_and_without_lockstep_is_a_zero_test_in_real_time(tmp_path):
     path = tmp_path / "zero.yaml"
     path.write_text("name: zero\nrig: rig.yaml\nsteps: [{name: rest, test: {duration: 5}}]")
@@ -103,7 +110,7 @@ MISTAKES = [
     (
         "controller: lqg3\n",
         "controller: lqg4\n",
-        r"step controlled: test.controller: 'lqg4', expected an earlier design step \(lqg3\)",
+        r"step controlled: test.controller: 'lqg4', expected an earlier design step or a file",
     ),
     (
         "controller: lqg3\n",

@@ -31,6 +31,7 @@ from abrace_bringup.onlooker import Onlooker
 from abrace_bringup.parameters import parameter_file
 from abrace_bringup.processes import ProcessGroup, find_executable
 from abrace_bringup.progress import Progress
+from abrace_core.controller_file import load_controller
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import pole_table
@@ -246,7 +247,9 @@ class Runner:
             "controller": Path(test.controller).stem if test.controller else "",
         }
         if test.controller:
-            facts["controller_file"] = self.controller_file(test.controller).read_text(encoding="utf-8")
+            path = self.controller_file(test.controller)
+            load_controller(path)
+            facts["controller_file"] = path.read_text(encoding="utf-8")
         for key in ("ground_motion", "excitation"):
             given = getattr(test, key)
             if given is not None:

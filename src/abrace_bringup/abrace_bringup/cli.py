@@ -8,13 +8,15 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from abrace_bringup.processes import find_executable, terminate_as_exception
+from abrace_bringup.processes import NodeDied, find_executable, terminate_as_exception
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 DEMO = "demo"
+WRONG_INPUT = 2
+"""Exit code when something that was given is wrong, to a node or to this command; 1: something failed."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -41,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _carry_out(given)
     except AbraceError as error:
         print(f"abrace: {error}", file=sys.stderr)
-        return 2
+        return 1 if isinstance(error, NodeDied) and error.returncode != WRONG_INPUT else WRONG_INPUT
     except KeyboardInterrupt:
         print("abrace: stopped", file=sys.stderr)
         return 130

@@ -1,0 +1,144 @@
+"""Campaigns: whole tests started, watched, stopped and reported by the `abrace` command."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from domain_coordinator import domain_id
+
+from abrace_core.bag import read_facts, read_run
+
+NOISE = "{record: white_noise, rms: 0.25, band: [0.0, 10.0], seed: 1}"
+
+
+@pytest.fixture
+def environment():
+    with domain_id() as domain:
+        yield {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+def campaign(folder: Path, *steps: str, lockstep: bool = True) -> Path:
+    path = folder / "campaign.yaml"
+    listed = "\n".join(f"  - {step}" for step in steps)
+    path.write_text(f"name: short\nrig: ncree_three_storey\nlockstep: {str(lockstep).lower()}\nsteps:\n{listed}\n")
+    return path
+
+
+def start(folder: Path, environment: dict, *arguments: str) -> subprocess.Popen:
+    command = [sys.executable, "-c", "import sys; from abrace_bringup.cli import main; sys.exit(main())", *arguments]
+    return subprocess.Popen(
+        command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def nodes_of(folder: Path) -> list[int]:
+    """Processes whose command line names this test's folder."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            line = (entry / "cmdline").read_bytes()
+            inside = (entry / "cwd").resolve() == folder.resolve()
+        except OSError:
+            continue
+        if inside and b"--ros-args" in line:
+            found.append(int(entry.name))
+    return found
+
+
+def wait_for(condition, timeout: float, what: str) -> None:
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {timeout} s for {what}"
+        time.sleep(0.02)
+
+
+def test_a_campaign_records_every_sample_shows_progress_and_reports(tmp_path, environment):
+    path = campaign(
+        tmp_path,
+        f"{{name: shaken, test: {{duration: 4.0, ground_motion: {NOISE}}}}}",
+        "{name: pushed, test: {duration: 4.0, excitation: {rms: 1000.0, band: [0.0, 30.0], seed: 2}}}",
+    )
+    process = start(tmp_path, environment, "campaign", str(path))
+    output, errors = process.communicate(timeout=100)
+    assert process.returncode == 0, errors
+    assert "[1/2] shaken: done" in errors
+    assert "[2/2] pushed: done" in errors
+    assert "Timing, in lockstep" in output
+    timing = json.loads((tmp_path / "results/short/summary.json").read_text())["timing"]
+    assert set(timing["wall_seconds"]) == {"shaken", "pushed"}
+    (bags,) = (tmp_path / "bags/short").iterdir()
+    for step, moved in (("shaken", "ground_acceleration"), ("pushed", "command")):
+        run = read_run(bags / step)
+        assert len(run.outputs) == 2000
+        assert run.sequence[0] == 0
+        assert abs(getattr(run, moved)).max() > 0.5
+        facts = read_facts(bags / step)
+        assert facts["rig"] == "ncree_three_storey"
+        assert "masses" in facts["rig_file"]
+    assert not nodes_of(tmp_path)
+
+
+def test_a_node_that_dies_ends_the_campaign_with_its_name_and_last_lines(tmp_path, environment):
+    path = campaign(tmp_path, f"{{name: shaken, test: {{duration: 600.0, ground_motion: {NOISE}}}}}")
+    process = start(tmp_path, environment, "campaign", str(path))
+    log = tmp_path / "results/short/nodes/shaken_logger.log"
+    wait_for(lambda: len(nodes_of(tmp_path)) == 3 and log.exists(), 30, "three nodes")
+    (victim,) = [pid for pid in nodes_of(tmp_path) if b"ground_motion\0" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    os.kill(victim, signal.SIGKILL)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "ground_motion died (ended by SIGKILL)" in errors
+    assert "Traceback" not in errors
+    assert not nodes_of(tmp_path)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_campaign_leaves_no_process_and_a_closed_bag(tmp_path, environment, number):
+    path = campaign(tmp_path, f"{{name: shaken, test: {{duration: 600.0, ground_motion: {NOISE}}}}}")
+    process = start(tmp_path, environment, "campaign", str(path))
+
+    def recording() -> bool:
+        bags = list((tmp_path / "bags").glob("short/*/shaken/*.mcap"))
+        return bool(bags) and bags[0].stat().st_size > 100_000
+
+    wait_for(recording, 60, "a bag that grows")
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode in (130, 143)
+    assert "Traceback" not in errors
+    assert not nodes_of(tmp_path)
+    (bag,) = (tmp_path / "bags").glob("short/*/shaken")
+    assert (bag / "metadata.yaml").exists()
+    assert len(read_run(bag).outputs) > 100
+
+
+def test_a_campaign_that_is_killed_leaves_no_process(tmp_path, environment):
+    path = campaign(tmp_path, f"{{name: shaken, test: {{duration: 600.0, ground_motion: {NOISE}}}}}")
+    process = start(tmp_path, environment, "campaign", str(path))
+    wait_for(lambda: len(nodes_of(tmp_path)) == 3, 30, "three nodes")
+    process.kill()
+    process.communicate()
+    wait_for(lambda: not nodes_of(tmp_path), 30, "the nodes' end")
+
+
+@pytest.mark.parametrize(
+    ("step", "message"),
+    [
+        ("{name: a, test: {duration: 4.0, ground_motion: {record: nowhere.at2}}}", "nowhere.at2"),
+        ("{name: a, test: {duration: 4.0, controller: nowhere.yaml}}", "controller file nowhere.yaml"),
+        ("{name: a, test: {duration: 4.0}}", "lockstep test without any input"),
+        ("{name: a, tost: {duration: 4.0}}", "tost: unknown key"),
+    ],
+)
+def test_a_wrong_campaign_ends_with_one_clear_error(tmp_path, environment, step, message):
+    process = start(tmp_path, environment, "campaign", str(campaign(tmp_path, step)))
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert message in errors
+    assert "Traceback" not in errors
+    assert not nodes_of(tmp_path)
