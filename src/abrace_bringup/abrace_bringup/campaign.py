@@ -15,6 +15,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from abrace_bringup.campaign_file import (
     CONTROLLER_FILE,
     BandedNoise,
@@ -31,14 +33,18 @@ from abrace_bringup.onlooker import Onlooker
 from abrace_bringup.parameters import parameter_file
 from abrace_bringup.processes import ProcessGroup, find_executable
 from abrace_bringup.progress import Progress
+from abrace_bringup.report import PAPER_POLES
 from abrace_core.controller_file import load_controller
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import pole_table
 from abrace_core.node import find_file
 from abrace_plant.rig_file import load_rig
+from abrace_sysid import figures
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from abrace_bringup.progress import Step as ShownStep
     from abrace_plant.rig import Rig
 
@@ -48,6 +54,7 @@ STUCK = 30.0
 """Seconds without a new sample that end a test."""
 SEED = 7
 """Seed of the first test's sensor noise; each later test takes the next one."""
+PAPER_RIG = "ncree_three_storey"
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 """Campaigns on the simulated rig stay on this machine, unless the environment says otherwise."""
 
@@ -192,7 +199,7 @@ class Runner:
                         "servo_lag": lag,
                     },
                 )
-                self.add_true_poles(output / "poles.json")
+                self.show_poles(name)
             case Design(model=model, weights=weights):
                 self.run_offline(
                     name,
@@ -223,15 +230,18 @@ class Runner:
                 shutil.copy(output / "comparison.json", self.results / "comparison.json")
         return {}
 
-    def add_true_poles(self, path: Path) -> None:
-        """Set the rig's own poles beside the identified ones, in the campaign's poles.json."""
-        identified = json.loads(path.read_text(encoding="utf-8"))
-        own = [
-            {"frequency": frequency, "damping_ratio": damping}
-            for frequency, damping in pole_table(self.rig.model.poles())
-        ]
-        poles = {test: {"identified": pairs, "true": own[: len(pairs)]} for test, pairs in identified.items()}
+    def show_poles(self, step: str) -> None:
+        """Set the rig's own poles and the paper's beside the identified ones: poles.json and a chart."""
+        identified = json.loads((self.results / step / "poles.json").read_text(encoding="utf-8"))
+        own = self.rig.model.poles()
+        pairs = [{"frequency": w, "damping_ratio": damping} for w, damping in pole_table(own)]
+        poles = {test: {"identified": found, "true": pairs[: len(found)]} for test, found in identified.items()}
         write_text(self.results / "poles.json", json.dumps(poles, indent=1))
+        reference = {"rig": own[np.abs(own) < 1.2 * max(pair["frequency"] for pair in identified["command"])]}
+        if self.rig.name == PAPER_RIG:
+            reference["paper, A1 and A2"] = np.concatenate([PAPER_POLES["table"], PAPER_POLES["command"]])
+        chart = figures.pole_chart({f"{test} test": _complex(found) for test, found in identified.items()}, reference)
+        figures.save(chart, self.results / step / "poles.png")
 
     def facts(self, name: str, test: RigTest, seed: int) -> dict[str, str]:
         """What a test's bag says of its run."""
@@ -263,6 +273,11 @@ class Runner:
         """Write the campaign's timing.json."""
         timing = {"lockstep": self.campaign.lockstep, "sample_rate": self.rig.sample_rate, "steps": self.timing}
         write_text(self.results / "timing.json", json.dumps(timing, indent=1))
+
+
+def _complex(pairs: list[dict[str, float]]) -> NDArray[np.complex128]:
+    frequency, damping = (np.array([pair[key] for pair in pairs]) for key in ("frequency", "damping_ratio"))
+    return frequency * (-damping + 1j * np.sqrt(1 - damping**2))
 
 
 def _noise(noise: BandedNoise) -> dict[str, Any]:

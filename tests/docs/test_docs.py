@@ -1,0 +1,96 @@
+"""What the documents say is so: links, commands, campaigns, pages made from the source."""
+
+import ast
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+from abrace_bringup.campaign_file import load_campaign
+from abrace_bringup.processes import find_executable
+from abrace_core.node import Parameter
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+LAUNCH_FILES = sorted((ROOT / "src/abrace_bringup/launch").glob("*.launch.py"))
+
+
+def module_from(path: Path):
+    specification = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def table_of(package: str, executable: str) -> dict[str, Parameter]:
+    """A node's own parameters, and those that its kind adds, by name."""
+    script = find_executable(package, executable)
+    assert script.is_file()
+    page = (ROOT / "docs/nodes.md").read_text()
+    section = page.partition(f"\n## {executable}\n")[2].partition("\n## ")[0]
+    return dict.fromkeys(re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE))
+
+
+def test_the_page_of_nodes_is_what_the_nodes_declare():
+    assert (ROOT / "docs/nodes.md").read_text() == module_from(ROOT / "docs/write_nodes.py").page(), (
+        "docs/nodes.md is out of date: run python docs/write_nodes.py"
+    )
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#]+)", page.read_text()):
+        assert target.startswith("http") or (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_that_are_named_exist(page):
+    for target in re.findall(r"`((?:src|requirements|benchmarks|docs|ros2_ws)/[\w./-]+)`", page.read_text()):
+        assert (ROOT / target).exists(), f"{page.name}: {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_nodes_in_commands_exist_and_take_the_parameters(page):
+    for package, executable, arguments in re.findall(r"abrace run (\w+) (\w+)(.*)", page.read_text()):
+        known = table_of(package, executable)
+        for name in re.findall(r"-p (\w+):=", arguments):
+            assert name in known, f"{page.name}: abrace run {package} {executable} -p {name}"
+
+
+def test_the_campaign_in_the_page_is_a_valid_one(tmp_path):
+    (example,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs/campaigns.md").read_text(), re.DOTALL)
+    (tmp_path / "campaign.yaml").write_text(example)
+    assert len(load_campaign(tmp_path / "campaign.yaml").steps) == 7
+
+
+def test_python_examples_name_what_there_is():
+    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/bags.md").read_text(), re.DOTALL)
+    for node in ast.walk(ast.parse(example)):
+        if isinstance(node, ast.ImportFrom):
+            module = importlib.import_module(node.module)
+            for alias in node.names:
+                assert hasattr(module, alias.name), f"{node.module}.{alias.name}"
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_files_start_nodes_that_exist_with_parameters_that_they_have(path):
+    """Reads the source, as `launch` is there only where ROS 2 is installed; there it is executed too."""
+    started = []
+    for call in ast.walk(ast.parse(path.read_text())):
+        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "Node":
+            given = {keyword.arg: keyword.value for keyword in call.keywords}
+            package, executable = given["package"].value, given["executable"].value
+            known = table_of(package, executable)
+            names = [key.value for each in given["parameters"].elts if isinstance(each, ast.Dict) for key in each.keys]
+            assert set(names) <= set(known), f"{path.name}: {executable} has no {set(names) - set(known)}"
+            started.append(executable)
+    assert {"plant", "logger"} <= set(started)
+    if importlib.util.find_spec("launch_ros"):
+        assert module_from(path).generate_launch_description().entities
+
+
+def test_every_page_is_linked_from_the_readme():
+    readme = (ROOT / "README.md").read_text()
+    for page in PAGES[1:]:
+        assert f"docs/{page.name}" in readme, page.name
