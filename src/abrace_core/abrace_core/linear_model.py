@@ -102,14 +102,17 @@ class LinearModel:
         """Response at the angular frequencies `omega` [rad/s], shape (frequencies, outputs, inputs)."""
         omega = np.atleast_1d(np.asarray(omega, dtype=np.float64))
         s = np.exp(1j * omega * self.sample_period) if self.sample_period else 1j * omega
+        delays = np.exp(-1j * omega[:, None, None] * np.array(self.input_delay))
+        if not self.order:
+            return self.d * delays
         values, vectors = linalg.eig(self.a)
-        if self.order and np.linalg.cond(vectors) < 1e10:
+        if np.linalg.cond(vectors) < 1e10:
             left = np.linalg.solve(vectors, self.b.astype(np.complex128))
             response = np.einsum("pn,fn,nm->fpm", self.c @ vectors, 1 / (s[:, None] - values), left, optimize=True)
         else:
             pencil = s[:, None, None] * np.eye(self.order) - self.a
             response = self.c @ np.linalg.solve(pencil, np.broadcast_to(self.b, (len(s), *self.b.shape)))
-        return (response + self.d) * np.exp(-1j * omega[:, None, None] * np.array(self.input_delay))
+        return (response + self.d) * delays
 
     def select(self, outputs: Sequence[str] | None = None, inputs: Sequence[str] | None = None) -> LinearModel:
         """The same model with only these outputs and inputs, in this order."""
