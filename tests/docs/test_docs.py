@@ -94,3 +94,44 @@ def test_every_page_is_linked_from_the_readme():
     readme = (ROOT / "README.md").read_text()
     for page in PAGES[1:]:
         assert f"docs/{page.name}" in readme, page.name
+
+
+LIBRARIES = [
+    path
+    for package in ("abrace_core", "abrace_plant", "abrace_sysid", "abrace_lqg")
+    for path in sorted((ROOT / "src" / package / package).glob("*.py"))
+    if path.name not in ("node.py", "brace_commander.py")
+]
+
+
+@pytest.mark.parametrize("path", LIBRARIES, ids=lambda path: path.name)
+def test_public_functions_say_what_their_arguments_are(path):
+    """Each argument's name stands in the docstring, or that says as in which other function they are."""
+    undocumented = []
+    module = ast.parse(path.read_text()).body
+    methods = [
+        entry for each in module if isinstance(each, ast.ClassDef) and each.name[0] != "_" for entry in each.body
+    ]
+    for function in [*module, *methods]:
+        if isinstance(function, ast.FunctionDef) and not function.name.startswith("_"):
+            text = ast.get_docstring(function) or ""
+            arguments = {argument.arg for argument in (*function.args.args, *function.args.kwonlyargs)}
+            missing = {name for name in arguments - {"self", "cls", "path"} if not re.search(rf"\b{name}\b", text)}
+            if missing and "as in `" not in text and "as `" not in text:
+                undocumented.append(f"{function.name}: {', '.join(sorted(missing))}")
+    assert not undocumented
+
+
+@pytest.mark.parametrize("path", LIBRARIES, ids=lambda path: path.name)
+def test_libraries_know_no_ros(path):
+    imported = {
+        name.name.partition(".")[0]
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Import)
+        for name in node.names
+    } | {
+        (node.module or "").partition(".")[0]
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.ImportFrom)
+    }
+    assert not imported & {"rclpy", "abrace_interfaces", "std_msgs", "ament_index_python"}

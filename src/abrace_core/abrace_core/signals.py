@@ -7,7 +7,7 @@ GROUND = "w"
 
 
 def numbered(letter: str, count: int) -> tuple[str, ...]:
-    """`letter` alone where there is one of it, else `letter1`, `letter2`, ...
+    """`letter` alone where `count` is 1, else `letter1`, `letter2`, ...
 
     >>> numbered("xf", 1), numbered("xf", 2)
     (('xf',), ('xf1', 'xf2'))
@@ -16,7 +16,9 @@ def numbered(letter: str, count: int) -> tuple[str, ...]:
 
 
 def response_names(floors: int, groups: int) -> tuple[str, ...]:
-    """Names of the recorded quantities z: displacements, strokes, absolute accelerations, forces.
+    """Names of the recorded quantities z of a rig of `floors` floors and `groups` brace groups.
+
+    Displacements, strokes, absolute accelerations, forces, in this order.
 
     >>> response_names(3, 1)
     ('x1', 'x2', 'x3', 'xf', 'a1', 'a2', 'a3', 'f')
@@ -27,7 +29,7 @@ def response_names(floors: int, groups: int) -> tuple[str, ...]:
 
 
 def command_names(groups: int) -> tuple[str, ...]:
-    """Names of the commands U, one for each brace group."""
+    """Names of the commands U, one for each of `groups` brace groups."""
     return numbered("U", groups)
 
 

@@ -106,7 +106,10 @@ def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hol
 def simulate(
     model: LinearModel, inputs: NDArray[np.float64], initial: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Outputs (samples, outputs) of a discrete model driven by inputs (samples, inputs)."""
+    """Outputs (samples, outputs) of a discrete `model` driven by `inputs` (samples, inputs).
+
+    It starts from rest, or from the state `initial` (states,).
+    """
     if not model.sample_period:
         raise AbraceError("simulate: a discrete model was expected")
     if inputs.ndim != 2 or inputs.shape[1] != len(model.inputs):

@@ -54,7 +54,7 @@ class ControlLaw:
         self._command, self._next = self._result[:commands], self._result[commands:]
 
     def update(self, y: NDArray[np.float64] | Sequence[float]) -> NDArray[np.float64]:
-        """The commands (commands,) [N] for this sample's measured values (measured,); valid until the next call."""
+        """The commands (commands,) [N] for the measured values `y` (measured,); valid until the next call."""
         self._measured[:] = y
         np.dot(self._whole, self._vector, out=self._result)
         self._state[:] = self._next

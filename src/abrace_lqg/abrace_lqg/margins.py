@@ -63,7 +63,7 @@ class Margins:
 
 
 def sampled(model: LinearModel, sample_period: float) -> LinearModel:
-    """The model at the sample period: commands held, ground acceleration linear in between; a discrete one as it is."""
+    """The `model` at `sample_period` [s]: commands held, ground motion linear in between; a discrete one as it is."""
     if not model.sample_period:
         return discretize(model, sample_period, {signals.GROUND: "first"})
     if abs(model.sample_period - sample_period) > 1e-9 * sample_period:
@@ -107,12 +107,12 @@ def closed_loop(model: LinearModel, controller: LinearModel) -> LinearModel:
 
 
 def closed_loop_poles(model: LinearModel, controller: LinearModel) -> list[tuple[float, float]]:
-    """(frequency [rad/s], damping ratio) of the loop's oscillating poles, slowest first, of `closed_loop`."""
+    """(frequency [rad/s], damping ratio) of the loop's oscillating poles, slowest first; arguments as in `closed_loop`."""
     return _oscillations(closed_loop(model, controller))
 
 
 def is_stable(model: LinearModel, controller: LinearModel) -> bool:
-    """Whether the loop is stable; parameters as `closed_loop`."""
+    """Whether the loop is stable; arguments as in `closed_loop`."""
     return bool(np.abs(np.linalg.eigvals(closed_loop(model, controller).a)).max() < 1)
 
 

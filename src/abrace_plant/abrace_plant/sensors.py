@@ -44,7 +44,7 @@ class SensorSet:
     ground_acceleration: Sensor
 
     def channels(self, floors: int, groups: int) -> list[Sensor]:
-        """One sensor a channel, in the order [z, w] of a rig."""
+        """One sensor a channel, in the order [z, w] of a rig of `floors` floors and `groups` brace groups."""
         return (
             [self.displacement] * floors
             + [self.stroke] * groups
@@ -55,7 +55,7 @@ class SensorSet:
 
 
 class Measurement:
-    """Turns true values into readings, sample by sample; the same seed gives the same readings."""
+    """Turns the true values of `channels` into readings, sample by sample; the same seed gives the same readings."""
 
     def __init__(self, channels: list[Sensor], seed: int) -> None:
         self._noise = np.array([channel.noise for channel in channels])

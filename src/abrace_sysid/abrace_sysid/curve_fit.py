@@ -104,7 +104,7 @@ def fit_rational(
 
 
 def least_squares(columns: NDArray[np.complex128], right: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Real solution (unknowns, problems) of a complex least-squares problem, by columns of unit length."""
+    """Real solution (unknowns, problems) of `columns` x = `right` in the complex least-squares sense."""
     stacked = np.vstack([columns.real, columns.imag])
     length = np.linalg.norm(stacked, axis=0)
     length[length == 0] = 1.0
@@ -113,7 +113,10 @@ def least_squares(columns: NDArray[np.complex128], right: NDArray[np.complex128]
 
 
 def uncertainty_weights(g: NDArray[np.complex128], sigma: NDArray[np.float64]) -> NDArray[np.float64]:
-    """lambda_j = 1 / (sigma_j^2 + (0.01 |g_j|)^2): robust, where 1 / sigma^2 alone trusts a few lines too much."""
+    """Weights lambda = 1 / (sigma^2 + (0.01 |g|)^2) of each line of `g` with standard deviation `sigma`.
+
+    Robust, where 1 / sigma^2 alone trusts a few lines too much.
+    """
     variance = sigma**2 + (RELATIVE_ERROR * np.abs(g)) ** 2
     return np.asarray(1 / np.maximum(variance, np.finfo(float).tiny))
 
@@ -146,7 +149,7 @@ def fit_sanathanan_koerner(
 
 
 def require_stable(poles: NDArray[np.complex128], where: str) -> NDArray[np.complex128]:
-    """The poles, if all of them are stable.
+    """The `poles`, if all of them are stable; `where` says in an error whose they are.
 
     Raises
     ------

@@ -115,7 +115,7 @@ def pole_chart(poles: Mapping[str, NDArray[np.complex128]], reference: Mapping[s
 
 
 def hankel_singular_values(values: NDArray[np.float64], kept: int) -> Figure:
-    """Hankel singular values (states,), greatest first, and how many of them a reduced model keeps."""
+    """Hankel singular values (states,), greatest first, and the `kept` first that a reduced model has."""
     figure = Figure(figsize=(6.4, 3.8), layout="constrained")
     axis = figure.subplots()
     shown = np.maximum(values, 1e-8 * values[0])

@@ -67,7 +67,7 @@ class FrequencyResponse:
 
 
 def held_input(run: Run, name: str) -> NDArray[np.float64]:
-    """(samples,) the input at each sample: the ground acceleration, or the command in force from the sample on."""
+    """(samples,) the input `name` of `run`: the ground acceleration at each sample, or the command from it on."""
     if name in run.command_names:
         return run.command_from_here[:, run.command_names.index(name)]
     return run.channels([name])[:, 0]

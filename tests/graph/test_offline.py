@@ -1,0 +1,132 @@
+"""The offline nodes as processes: from bags to a model, a controller, a comparison; and what wrong input gives."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+
+from abrace_bringup.processes import find_executable
+from abrace_core.bag import BagWriter, message_definition
+from abrace_core.controller_file import load_controller
+from abrace_core.linear_model import load_model, pole_table
+from abrace_core.node import find_file
+from abrace_core.noise import banded_noise
+from abrace_interfaces.msg import Response
+from abrace_plant.rig_file import load_rig
+from abrace_plant.rig_loop import RigLoop
+
+SECONDS = 80.0
+
+
+def write_bag(path: Path, ground: np.ndarray, command: np.ndarray) -> Path:
+    """A bag of the rig's responses to a ground acceleration and a command that answer sample after sample."""
+    rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
+    loop = RigLoop(rig, 3, 0.02)
+    definition = message_definition("abrace_interfaces/msg/Response")
+    with BagWriter(path, {"sample_period": "0.002", "rig": rig.name}) as bag:
+        topic = bag.add_topic("/response", definition.type_name, definition.text, definition.type_hash)
+        for k in range(len(ground)):
+            sample = loop.sample()
+            x, xf, a, f, w = np.split(sample.reading, [3, 4, 7, 8])
+            message = Response(sequence=k, ground_acceleration=float(w[0]))
+            message.displacement, message.stroke, message.acceleration, message.force = map(list, (x, xf, a, f))
+            message.command = list(sample.command)
+            bag.write(topic, serialize_message(message), 2_000_000 * k, 2_000_000 * k)
+            loop.take_ground_acceleration(k, float(ground[k]))
+            loop.take_command(k, np.array([command[k]]))
+    return path
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("bags")
+    samples = round(SECONDS * 500)
+    shaken = banded_noise(samples, 500.0, (0.0, 10.0), 0.25, 1)
+    pushed = banded_noise(samples, 500.0, (0.0, 30.0), 1800.0, 2)
+    rest = np.zeros(samples)
+    return {
+        "table": write_bag(folder / "table", shaken, rest),
+        "command": write_bag(folder / "command", rest, pushed),
+        "check": write_bag(folder / "check", banded_noise(5000, 500.0, (0.0, 10.0), 0.2, 5), np.zeros(5000)),
+    }
+
+
+def run_node(package: str, executable: str, **parameters: object) -> subprocess.CompletedProcess:
+    given = [text for name, value in parameters.items() for text in ("-p", f"{name}:={value}")]
+    command = [str(find_executable(package, executable)), "--ros-args", *given]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_bags_become_a_model_the_model_a_controller_and_both_are_compared(bags, tmp_path):
+    model, controller, comparison = tmp_path / "model", tmp_path / "lqg3.yaml", tmp_path / "comparison"
+
+    ended = run_node("abrace_sysid", "identify", table=bags["table"], command=bags["command"], output=model, mat="true")
+    assert ended.returncode == 0, ended.stderr
+    assert "100% identified" in ended.stdout
+    assert load_model(model / "model.json").order == 24
+    assert load_model(model / "reduced.json").order == 8
+    for name in ("figure_3_force.png", "figure_4_table.png", "figure_5_command.png", "model.mat", "reduced.mat"):
+        assert (model / name).stat().st_size > 1000
+    found = json.loads((model / "poles.json").read_text())
+    rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
+    own = pole_table(rig.model.poles())
+    for test, count in (("table", 3), ("command", 6)):
+        assert len(found[test]) == count
+        for pole, (frequency, damping_ratio) in zip(found[test], own, strict=False):
+            assert pole["frequency"] == pytest.approx(frequency, rel=2e-3)
+            assert pole["damping_ratio"] == pytest.approx(damping_ratio, rel=0.10)
+
+    ended = run_node(
+        "abrace_lqg",
+        "design",
+        model=model / "reduced.json",
+        check_models=f"[{model / 'model.json'}]",
+        output=controller,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "gain margin" in ended.stdout
+    law = load_controller(controller).law
+    assert law.inputs == ("a1", "a2", "a3")
+    assert law.sample_period == 0.002
+
+    ended = run_node("abrace_sysid", "validate", bag=bags["check"], model=model / "model.json", output=comparison)
+    assert ended.returncode == 0, ended.stderr
+    channels = json.loads((comparison / "comparison.json").read_text())["simulated_vs_measured"]
+    assert set(channels) == {"x1", "x2", "x3", "xf", "a1", "a2", "a3", "f"}
+    assert min(channel["correlation"] for channel in channels.values()) > 0.98
+
+
+@pytest.mark.parametrize(
+    ("package", "executable", "parameters", "expected"),
+    [
+        ("abrace_sysid", "identify", {"output": "o"}, "parameter table"),
+        ("abrace_sysid", "identify", {"table": "no_bag", "command": "no_bag", "output": "o"}, "no_bag: no such bag"),
+        ("abrace_sysid", "identify", {"table": "{command}", "command": "{table}", "output": "o"}, "expected 0"),
+        ("abrace_sysid", "identify", {"table": "{check}", "command": "{command}", "output": "o"}, "at least 60 s"),
+        (
+            "abrace_sysid",
+            "identify",
+            {"table": "{table}", "command": "{command}", "output": "o", "method": "x"},
+            "welch",
+        ),
+        ("abrace_sysid", "validate", {"bag": "{check}", "model": "no.json", "output": "o"}, "model file no.json"),
+        ("abrace_lqg", "design", {"model": "no.json", "output": "o.yaml"}, "model file no.json"),
+        ("abrace_lqg", "design", {"model": "bad.json", "output": "o.yaml"}, "not JSON"),
+        ("abrace_lqg", "design", {"model": "bad.json", "output": "o.txt"}, "ends in .yaml"),
+        ("abrace_lqg", "design", {"model": "bad.json", "output": "o.yaml", "weights": "none"}, "weights 'none'"),
+    ],
+)
+def test_wrong_input_gives_one_line_exit_code_2_and_writes_nothing(
+    bags, tmp_path, monkeypatch, package, executable, parameters, expected
+):
+    monkeypatch.chdir(tmp_path)
+    Path("bad.json").write_text("{")
+    given = {name: str(value).format(**bags) for name, value in parameters.items()}
+    ended = run_node(package, executable, **given)
+    assert ended.returncode == 2
+    assert expected in ended.stderr
+    assert len(ended.stderr.splitlines()) == 1, ended.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.json"]
