@@ -107,7 +107,7 @@ def closed_loop(model: LinearModel, controller: LinearModel) -> LinearModel:
 
 
 def closed_loop_poles(model: LinearModel, controller: LinearModel) -> list[tuple[float, float]]:
-    """(frequency [rad/s], damping ratio) of the loop's oscillating poles, slowest first; arguments as in `closed_loop`."""
+    """(frequency [rad/s], damping ratio) of the loop's oscillating poles, slowest first, as in `closed_loop`."""
     return _oscillations(closed_loop(model, controller))
 
 
