@@ -14,7 +14,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from abrace_core.command_guard import CommandGuard
-from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, STREAM_QOS, AbraceLifecycleNode, Parameter
+from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, AbraceLifecycleNode, Parameter
 from abrace_core.sample_watch import SampleWatch
 from abrace_interfaces.msg import BraceCommand, Response
 
@@ -28,7 +28,7 @@ RAMP_TIME = 0.5
 """Seconds within which a fault, or the node's end, brings the force to zero."""
 
 RATE_LIMIT = Parameter("rate_limit", 5.0e6, "N/s, greatest rate of the force of one brace", minimum=1.0)
-DEACTIVATED = "deactivated"
+DEACTIVATED, EMERGENCY_STOP = "deactivated", "emergency stop"
 
 
 class BraceCommander(AbraceLifecycleNode):
@@ -47,8 +47,9 @@ class BraceCommander(AbraceLifecycleNode):
         self.command = BraceCommand()
         self.slowest = 0.0
         self.quiet = True
+        self.stopped = False
         self.publisher = self.publish_on(BraceCommand, "brace_command", KEPT_STREAM_QOS)
-        self.subscribe_to(Response, "response", self.on_response, STREAM_QOS)
+        self.subscribe_to(Response, "response", self.on_response, KEPT_STREAM_QOS)
         self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
         self.create_service(Trigger, "~/clear_fault", self.on_clear_fault)
 
@@ -64,6 +65,8 @@ class BraceCommander(AbraceLifecycleNode):
         """Answer from the next sample on."""
         if self.guard.fault_reason == DEACTIVATED:
             self.guard.clear()
+        if self.stopped:
+            self.guard.fault(EMERGENCY_STOP)
         self.watch.sequence = -1
 
     def deactivate(self) -> None:
@@ -94,7 +97,8 @@ class BraceCommander(AbraceLifecycleNode):
     def on_emergency_stop(self, message: Bool) -> None:
         """Someone pressed the button."""
         if message.data:
-            self.guard.fault("emergency stop")
+            self.stopped = True
+            self.guard.fault(EMERGENCY_STOP)
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """A person clears the latched fault; the next sample begins anew."""
@@ -102,6 +106,7 @@ class BraceCommander(AbraceLifecycleNode):
         response.success = reason is not None and self.active
         response.message = f"cleared: {reason}" if response.success else "no fault" if self.active else "not active"
         if response.success:
+            self.stopped = False
             self.guard.clear()
             self.watch.sequence = -1
         return response

@@ -11,6 +11,7 @@ line says what, where, and what was expected).
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
 import time
@@ -24,31 +25,46 @@ from typing import Any, Protocol
 import rclpy
 from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidParameterException
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.logging import LoggingSeverity, get_logger_effective_level, set_logger_level
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from abrace_core.errors import AbraceError
 
+RCLError = rclpy_implementation.RCLError
+
 LONGEST_WAIT = 0.1
 """Seconds that the executor may wait at a time. An untimed wait of the events executor never returns to Python."""
 
+EVENTS_WHEN_LATE = 3
+"""Callbacks that may come between two ticks of a node that is late: it has to hear of the answers to catch up."""
+
+LONGEST_HANDOVER = Duration(seconds=0.5)
+"""How long a node that ends waits for those who still have to take what it published."""
+
 STREAM_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-"""How `response`, `brace_command` and `ground_motion` are taken by those who answer them."""
+"""How the rig takes `brace_command` and `ground_motion`: of late ones the last will do."""
 KEPT_STREAM_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """How they are published, and taken by those who must not miss one: two seconds are kept for a reader that is late.
 
-With ten kept, a logger that a busy machine held up for some milliseconds lost samples of a lockstep run.
+With ten kept, a logger that a busy machine held up for some milliseconds lost samples of a lockstep run, and a
+commander that joined a running rig lost samples one time in two: what is published while the two become acquainted,
+some 50 to 80 samples, arrives all at once.
 """
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -206,11 +222,17 @@ def find_file(name: str, package: str, folder: str, ending: str, kind: str) -> P
     return path
 
 
+def rcl_message(error: Exception) -> str:
+    """What rcl says of a mistake: one line, without the places in its source."""
+    return re.sub(r", at \S+:\d+", "", " ".join(str(error).split()))
+
+
 class Watched(Protocol):
     """What `run` needs of a node."""
 
     due: float | None
     exit_code: int | None
+    ended: Future
 
     def tick(self) -> None:
         """Called when `due` [s, monotonic] has come."""
@@ -226,7 +248,9 @@ class _Conventions:
     exit_code: int | None = None
 
     def start_diagnostics(self, node: Node) -> None:
+        self.ended = Future()
         self._endpoints: list[tuple[str, Callable[[], int]]] = []
+        self._published: list[Publisher] = []
         self._diagnostics = node.create_publisher(DiagnosticArray, "diagnostics", 10)
         self._status_name = f"{node.get_fully_qualified_name().lstrip('/')}: state"
         self._hardware_id = node.get_name()
@@ -240,7 +264,13 @@ class _Conventions:
             message_type, topic, qos, event_callbacks=PublisherEventCallbacks(matched=self._matched)
         )
         self._endpoints.append((f"subscribers of {topic}", publisher.get_subscription_count))
+        self._published.append(publisher)
         return publisher
+
+    def hand_over(self) -> None:
+        """Wait until what was published has arrived: a publisher that goes takes along what has not."""
+        for publisher in self._published:
+            publisher.wait_for_all_acked(LONGEST_HANDOVER)
 
     def subscribe_to(
         self, message_type: type, topic: str, callback: Callable, qos: QoSProfile, *, raw: bool = False
@@ -283,6 +313,7 @@ class _Conventions:
     def finish(self, exit_code: int, message: str) -> None:
         """End the process once the present callback is done."""
         self.exit_code = exit_code
+        self.ended.set_result(None)
         if exit_code:
             print(f"{self._hardware_id}: {message}", file=sys.stderr, flush=True)
         else:
@@ -320,6 +351,17 @@ class AbraceLifecycleNode(_Conventions, LifecycleNode):
         self.configured = False
         self.active = False
         self.start_diagnostics(self)
+        self._standing = {*self.publishers, *self.subscriptions, *self.services}
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._on_change_state
+
+    def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+        """Refuse a transition that the present state does not have; rclpy 7.1 would end the process."""
+        try:
+            return self._change_state(request, response)
+        except RCLError:
+            response.success = False
+            return response
 
     def configure(self) -> None:
         """Load files, make publishers and subscriptions."""
@@ -329,6 +371,9 @@ class AbraceLifecycleNode(_Conventions, LifecycleNode):
 
     def deactivate(self) -> None:
         """Stop, smoothly."""
+
+    def cleanup(self) -> None:
+        """Undo what `configure` made beside publishers, subscriptions and services."""
 
     def _transition(self, step: Callable[[], None]) -> TransitionCallbackReturn:
         try:
@@ -347,7 +392,20 @@ class AbraceLifecycleNode(_Conventions, LifecycleNode):
         """Life cycle callback."""
         result = self._transition(self.configure)
         self.configured = result == TransitionCallbackReturn.SUCCESS
+        if not self.configured:
+            self._forget()
         return result
+
+    def _forget(self) -> None:
+        """Destroy what `configure` made."""
+        for publisher in set(self.publishers) - self._standing:
+            self.destroy_publisher(publisher)
+        for subscription in set(self.subscriptions) - self._standing:
+            self.destroy_subscription(subscription)
+        for service in set(self.services) - self._standing:
+            self.destroy_service(service)
+        self._endpoints.clear()
+        self._published.clear()
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Life cycle callback."""
@@ -360,6 +418,19 @@ class AbraceLifecycleNode(_Conventions, LifecycleNode):
         self.active = False
         self._transition(self.deactivate)
         return LifecycleNode.on_deactivate(self, state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Life cycle callback."""
+        self.configured = False
+        self.cleanup()
+        self._forget()
+        return LifecycleNode.on_cleanup(self, state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Life cycle callback: an active node stops as when it is deactivated."""
+        if self.active:
+            self.on_deactivate(state)
+        return LifecycleNode.on_shutdown(self, state)
 
     def autostart(self) -> None:
         """Configure and activate, where the parameter asks for it."""
@@ -395,23 +466,56 @@ def _spin(node: Watched, signals: _Signals) -> int:
     executor.add_node(node)
     signals.spinning = True
     spin_once = executor.spin_once
+    spin, ended = executor.spin_until_future_complete, node.ended
     monotonic = time.monotonic
     try:
         while not signals.stopped and node.exit_code is None:
             due = node.due
             if due is None:
-                spin_once(timeout_sec=LONGEST_WAIT)
+                spin(ended, LONGEST_WAIT)
                 continue
             wait = due - monotonic()
             if wait > 0:
-                spin_once(timeout_sec=min(wait, LONGEST_WAIT))
+                spin(ended, min(wait, LONGEST_WAIT))
             else:
                 node.tick()
+                if node.due is not None and node.due <= monotonic():
+                    for _ in range(EVENTS_WHEN_LATE):
+                        spin_once(timeout_sec=0.0)
     finally:
         signals.spinning = False
         executor.remove_node(node)
         executor.shutdown()
     return node.exit_code or 0
+
+
+def _initialize(arguments: list[str]) -> None:
+    """Start rclpy; wrong arguments are told by the AbraceError alone, not by rcl's log as well."""
+    set_logger_level("rcl", LoggingSeverity.FATAL)
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        extra = remove_ros_args(arguments)[1:]
+    except Exception as error:
+        raise AbraceError(f"arguments: {rcl_message(error)}") from error
+    if get_logger_effective_level("rcl") == LoggingSeverity.FATAL:
+        set_logger_level("rcl", LoggingSeverity.UNSET)
+    if extra:
+        raise AbraceError(f"argument {extra[0]!r}: unknown, parameters are given as --ros-args -p name:=value")
+
+
+def _close(node: Any, program: str) -> int:
+    """Close what the node holds open and take it out of the graph; returns the exit code of that."""
+    exit_code = 0
+    if node is not None:
+        try:
+            node.closing()
+            node.hand_over()
+        except AbraceError as error:
+            print(f"{program}: {error}", file=sys.stderr, flush=True)
+            exit_code = 1
+        node.destroy_node()
+    rclpy.try_shutdown()
+    return exit_code
 
 
 def run(create: Callable[[], Any], arguments: Sequence[str] | None = None) -> int:
@@ -424,29 +528,22 @@ def run(create: Callable[[], Any], arguments: Sequence[str] | None = None) -> in
     arguments = list(sys.argv if arguments is None else arguments)
     program = arguments[0].rsplit("/", 1)[-1]
     try:
-        try:
-            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-            extra = remove_ros_args(arguments)[1:]
-        except Exception as error:
-            raise AbraceError(f"arguments: {' '.join(str(error).split())}") from error
-        if extra:
-            raise AbraceError(f"argument {extra[0]!r}: unknown, parameters are given as --ros-args -p name:=value")
+        _initialize(arguments)
         node = create()
         if hasattr(node, "work"):
             node.work()
-            return node.exit_code or 0
-        if isinstance(node, AbraceLifecycleNode):
-            node.autostart()
-        return _spin(node, signals)
+            exit_code = node.exit_code or 0
+        else:
+            if isinstance(node, AbraceLifecycleNode):
+                node.autostart()
+            exit_code = _spin(node, signals)
     except AbraceError as error:
         print(f"{program}: {error}", file=sys.stderr, flush=True)
-        return 2
+        exit_code = 2
     except _Stop:
-        return 0
+        exit_code = 0
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
-        if node is not None:
-            node.closing()
-            node.destroy_node()
-        rclpy.try_shutdown()
+        closing_code = _close(node, program)
+    return exit_code or closing_code

@@ -19,16 +19,14 @@ class Playback:
     Parameters
     ----------
     motion
-        (samples,) [m/s^2]; its first value is that of sample `first`.
-    first
-        Number of the sample at which the motion starts.
+        (samples,) [m/s^2]; its first value is the first answer.
     sample_rate
         Hz.
     """
 
-    def __init__(self, motion: NDArray[np.float64], first: int, sample_rate: float) -> None:
+    def __init__(self, motion: NDArray[np.float64], sample_rate: float) -> None:
         self._motion: list[float] = motion.tolist()
-        self._first = first
+        self._first: int | None = None
         self._rate = sample_rate
         self.played = 0
         """Values of the motion played so far."""
@@ -50,17 +48,22 @@ class Playback:
         return len(self._motion) / self._rate
 
     def answer(self, sequence: int) -> float:
-        """Ground acceleration [m/s^2] of the sample after `sequence`; zero before and after the motion."""
-        index = sequence + 1 - self._first
+        """Ground acceleration [m/s^2] of the sample after `sequence`; zero after the motion."""
+        if self._first is None:
+            self._first = sequence
+        index = sequence - self._first
         self.played = min(max(index + 1, self.played), len(self._motion))
         return self._motion[index] if 0 <= index < len(self._motion) else 0.0
 
     def cancel(self) -> None:
-        """From the next answer on, go from the last value to zero along a half cosine."""
+        """From the next answer on, go from the last value to zero along a half cosine; done if nothing was played."""
         if self.cancelled or self.done:
             return
         self.cancelled = True
+        if not self.played:
+            self._motion = []
+            return
         steps = round(CANCEL_TIME * self._rate)
-        start = self._motion[self.played - 1] if self.played else 0.0
+        start = self._motion[self.played - 1]
         ramp = start * (1 + np.cos(np.pi * np.arange(1, steps + 1) / steps)) / 2
         self._motion[self.played :] = ramp.tolist()

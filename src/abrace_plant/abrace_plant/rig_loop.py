@@ -62,8 +62,8 @@ class _Input:
         self.late = 0
 
     def take(self, sequence: int, value: Sequence[float], now: int) -> None:
-        """An answer to sample `sequence` while `now` is the last one taken."""
-        if sequence > now or sequence < self.answered:
+        """An answer to sample `sequence` while `now` is the last one taken; one that is overdue does not act."""
+        if sequence > now or sequence < max(self.answered, now - self._timeout):
             self.late += 1
             return
         if sequence == self.answered:
@@ -119,10 +119,10 @@ class RigLoop:
         """Whether the last sample has been answered on `brace_command` or `ground_motion`."""
         return (self._command if name == COMMAND else self._ground).answered == self.sequence
 
-    def emergency_stop(self) -> None:
+    def fault(self, reason: str) -> None:
         """Force and ground motion to zero, latched."""
-        self._command.guard.fault("emergency stop")
-        self._ground.guard.fault("emergency stop")
+        self._command.guard.fault(reason)
+        self._ground.guard.fault(reason)
 
     def clear_faults(self) -> None:
         """A person says that it is safe to go on."""

@@ -18,14 +18,14 @@ class Schedule:
     monotonic_start
         The same instant on the monotonic clock [s].
     duration
-        Seconds until the last sample; 0: no end.
+        Seconds of samples, at least one sample; 0: no end.
     """
 
     def __init__(self, sample_rate: float, start: int, monotonic_start: float, duration: float) -> None:
         self._period = 1e9 / sample_rate
         self._start = start
         self._monotonic_start = monotonic_start
-        self._last = round(duration * sample_rate) - 1 if duration else -1
+        self._last = max(1, round(duration * sample_rate)) - 1 if duration else -1
         self.behind = 0
         """Samples that were taken a whole period late or more."""
 

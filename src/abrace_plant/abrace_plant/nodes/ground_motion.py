@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import AccelStamped
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.task import Future
 from std_msgs.msg import Bool
 
 from abrace_core.errors import AbraceError
-from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, STREAM_QOS, AbraceLifecycleNode, Parameter, run
+from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, AbraceLifecycleNode, Parameter, run
 from abrace_core.noise import banded_noise
 from abrace_core.sample_watch import SampleWatch
 from abrace_interfaces.action import PlayGroundMotion
@@ -39,13 +39,25 @@ PARAMETERS = [
 ]
 
 
+class PlayServer(ActionServer):
+    """An action server whose goals end by an explicit `notify_execute`.
+
+    `goal.execute()` alone marks a goal as executing. rclpy would have the goal's callback wait for the end of the
+    motion, and the events executor of rclpy 7.1 spends a whole processor on a callback that waits.
+    """
+
+    def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Callable | None) -> None:
+        """Let `execute_callback` give the goal's result."""
+        if execute_callback is not None:
+            super().notify_execute(goal_handle, execute_callback)
+
+
 class GroundMotion(AbraceLifecycleNode):
     """Answers each sample with the ground acceleration of the next."""
 
     def __init__(self) -> None:
         super().__init__("ground_motion", PARAMETERS)
         self.playback: Playback | None = None
-        self.finished = Future()
         self.goal: ServerGoalHandle | None = None
         self.stopped = False
 
@@ -57,14 +69,15 @@ class GroundMotion(AbraceLifecycleNode):
         self.message = AccelStamped()
         self.message.header.frame_id = "table"
         self.publisher = self.publish_on(AccelStamped, "ground_motion", KEPT_STREAM_QOS)
-        self.subscribe_to(Response, "response", self.on_response, STREAM_QOS)
+        self.subscribe_to(Response, "response", self.on_response, KEPT_STREAM_QOS)
         self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
-        self.server = ActionServer(
+        self.server = PlayServer(
             self,
             PlayGroundMotion,
             "play_ground_motion",
-            execute_callback=self.on_play,
+            execute_callback=self.on_end,
             goal_callback=self.on_goal,
+            handle_accepted_callback=self.on_accepted,
             cancel_callback=self.on_cancel,
         )
 
@@ -84,13 +97,25 @@ class GroundMotion(AbraceLifecycleNode):
         return noise * (peak_acceleration / np.abs(noise).max()) if peak_acceleration else noise
 
     def activate(self) -> None:
-        """Answer from the next sample on."""
-        self.playback = None
+        """Answer from the next sample on; the record of the parameters begins with it, unless the table still moves."""
+        if self.playback is None or self.playback.done:
+            self.watch.sequence = -1
 
     def deactivate(self) -> None:
         """Cancel what plays; the answers go on until the table stands still."""
+        self.come_to_rest()
+
+    def cleanup(self) -> None:
+        """Take the action out of the graph."""
+        self.server.destroy()
+        self.playback, self.goal = None, None
+
+    def come_to_rest(self) -> None:
+        """Cancel what plays."""
         if self.playback is not None:
             self.playback.cancel()
+            if self.playback.done:
+                self.end_goal(self.playback)
 
     def on_response(self, response: Response) -> None:
         """Answer a sample."""
@@ -100,49 +125,47 @@ class GroundMotion(AbraceLifecycleNode):
         if self.watch.take(sequence, stamp.sec * 10**9 + stamp.nanosec) < 0:
             self.start_anew(sequence)
         playback = self.playback
-        if self.watch.problem and playback is not None:
+        if self.watch.problem and playback is not None and playback.played:
             playback.cancel()
         self.message.header.stamp = stamp
         self.message.accel.linear.x = playback.answer(sequence) if playback is not None else 0.0
         self.publisher.publish(self.message)
         if playback is not None and self.goal is not None:
             if playback.done:
-                self.end_goal()
+                self.end_goal(playback)
             elif sequence % FEEDBACK_EVERY == 0:
                 feedback = PlayGroundMotion.Feedback(elapsed=playback.elapsed, duration=playback.duration)
                 self.goal.publish_feedback(feedback)
 
-    def end_goal(self) -> None:
-        """Let `on_play` return its result."""
-        self.goal = None
-        self.finished.set_result(None)
+    def end_goal(self, playback: Playback) -> None:
+        """Have the goal that played, if there is one, give its result."""
+        goal, self.goal = self.goal, None
+        if goal is not None:
+            self.server.notify_execute(goal, lambda goal: self.on_end(goal, playback))
 
     def start_anew(self, sequence: int) -> None:
-        """The rig has started: what plays ends, and the record of the parameters begins."""
-        if self.playback is not None and self.goal is not None:
+        """The rig has started: what plays ends, and the record of the parameters begins; a goal that waited begins."""
+        if self.goal is not None and self.playback is not None:
+            if not self.playback.played:
+                return
             self.playback.cancelled = True
-            self.end_goal()
+            self.end_goal(self.playback)
         self.playback = None
         if self.first_motion is not None and not self.stopped:
-            self.playback = Playback(self.first_motion, sequence + 1, self.parameters.sample_rate)
+            self.playback = Playback(self.first_motion, self.parameters.sample_rate)
 
     def on_goal(self, request: PlayGroundMotion.Goal) -> GoalResponse:
-        """Accept a motion when the rig runs and none plays."""
-        busy = self.playback is not None and not self.playback.done
+        """Accept a motion when none plays or is about to."""
+        waiting = self.first_motion is not None and self.watch.sequence < 0
+        busy = waiting or (self.playback is not None and not self.playback.done)
         if not self.active or busy or self.stopped:
             reason = "emergency stop" if self.stopped else "a motion plays" if busy else "not active"
             self.get_logger().error(f"play_ground_motion refused: {reason}")
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
-    def on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
-        """Bring the table smoothly to rest."""
-        if self.playback is not None:
-            self.playback.cancel()
-        return CancelResponse.ACCEPT
-
-    async def on_play(self, goal: ServerGoalHandle) -> PlayGroundMotion.Result:
-        """Play until the end or until cancelled."""
+    def on_accepted(self, goal: ServerGoalHandle) -> None:
+        """Play from the next sample on."""
         request = goal.request
         try:
             if not np.isfinite([request.peak_acceleration, request.duration]).all():
@@ -153,29 +176,43 @@ class GroundMotion(AbraceLifecycleNode):
                 raise AbraceError("goal: record is empty, expected a known name or a file")
             motion = self.motion(request.record, request.peak_acceleration, request.duration)
         except AbraceError as error:
-            goal.abort()
-            return PlayGroundMotion.Result(success=False, message=str(error))
-        self.playback = Playback(motion, self.watch.sequence + 1, self.parameters.sample_rate)
-        self.goal, self.finished = goal, Future()
-        playback = self.playback
-        await self.finished
+            message = str(error)
+            self.server.notify_execute(goal, lambda goal: self.refuse(goal, message))
+            return
+        self.playback = Playback(motion, self.parameters.sample_rate)
+        self.goal = goal
+        goal.execute()
+
+    def refuse(self, goal: ServerGoalHandle, message: str) -> PlayGroundMotion.Result:
+        """The result of a goal that cannot be played."""
+        goal.execute()
+        goal.abort()
+        return PlayGroundMotion.Result(success=False, message=message)
+
+    def on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        """Bring the table smoothly to rest."""
+        self.come_to_rest()
+        return CancelResponse.ACCEPT
+
+    def on_end(self, goal: ServerGoalHandle, playback: Playback) -> PlayGroundMotion.Result:
+        """The result of a goal that has played to its end or come to rest before."""
         result = PlayGroundMotion.Result(success=not playback.cancelled, samples=playback.played)
         if goal.is_cancel_requested:
             goal.canceled()
             result.message = f"cancelled after {playback.elapsed:g} s"
         elif playback.cancelled:
             goal.abort()
-            result.message = "stopped: the rig stopped or lost samples"
+            result.message = "stopped: emergency stop, deactivation, or the rig stopped or lost samples"
         else:
             goal.succeed()
-            result.message = f"played {Path(request.record).name}, {playback.duration:g} s"
+            result.message = f"played {Path(goal.request.record).name}, {playback.duration:g} s"
         return result
 
     def on_emergency_stop(self, message: Bool) -> None:
         """Someone pressed the button, or released it."""
         self.stopped = message.data
-        if self.stopped and self.playback is not None:
-            self.playback.cancel()
+        if self.stopped:
+            self.come_to_rest()
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """State for `diagnostics`."""

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import importlib
+import sys
 import time
-from collections.abc import Callable
+from dataclasses import dataclass
 
+import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from abrace_core.bag import BagWriter, message_definition, offered_qos
 from abrace_core.errors import AbraceError
-from abrace_core.node import AbraceNode, Parameter, run
+from abrace_core.node import AbraceNode, Parameter, RCLError, rcl_message, run
 
 PARAMETERS = [
     Parameter("output", "", "bag (a new directory) to write", required=True),
@@ -25,23 +28,73 @@ PARAMETERS = [
 
 LOOK_FOR_TOPICS = 0.05
 """Seconds between looks for topics that have not appeared yet."""
+TAKE_PERIOD = 0.005
+"""Seconds between looks for messages, which the middleware has taken in; a callback for each would cost more."""
 DEPTH = 1000
 """Messages that may wait for the logger on each topic: two seconds of samples."""
 
 
+@dataclass
+class Recorded:
+    """A topic that is being recorded.
+
+    Parameters
+    ----------
+    subscription
+        Whose messages are taken here, not by an executor.
+    topic_id
+        In the bag.
+    publishers
+        The most that there were at a time.
+    count
+        Messages written.
+    last
+        The middleware's number of the last message; 0: none yet.
+    skipped
+        Numbers of the middleware left out.
+    """
+
+    subscription: Subscription
+    topic_id: int
+    publishers: int
+    count: int = 0
+    last: int = 0
+    skipped: int = 0
+
+    @property
+    def lost(self) -> int:
+        """Messages lost, where one publisher alone has numbered them."""
+        return self.skipped if self.publishers == 1 else 0
+
+
 class Logger(AbraceNode):
-    """Writes every message of its topics as it came from the wire."""
+    """Writes every message of its topics as it came from the wire.
+
+    Its subscriptions belong to a hidden node that no executor turns: `tick` takes what has come.
+    """
 
     def __init__(self) -> None:
         super().__init__("logger", PARAMETERS)
         given = self.parameters
         facts = dict(_fact(text) for text in given.facts)
+        self.recorded: dict[str, Recorded] = {}
+        self.matched = 0
+        try:
+            self.missing = {self.resolve_topic_name(topic): topic for topic in given.topics}
+        except RCLError as error:
+            raise AbraceError(f"parameter topics: {given.topics}, {rcl_message(error)}") from error
         self.bag = BagWriter(given.output, facts)
-        self.counts: dict[str, int] = {}
-        self.missing = {self.resolve_topic_name(topic): topic for topic in given.topics}
+        self.input = rclpy.create_node(
+            f"_{self.get_name()}_input",
+            namespace=self.get_namespace(),
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK_FOR_TOPICS, self.look_for_topics, clock=steady)
         self.create_timer(given.flush_interval, self.flush, clock=steady)
+        self.due = time.monotonic()
 
     def look_for_topics(self) -> None:
         """Subscribe to the topics that have appeared."""
@@ -53,6 +106,14 @@ class Logger(AbraceNode):
                     self.record(name, given_name, publishers)
                 except AbraceError as error:
                     self.finish(1, str(error))
+        matched = 0
+        for topic in self.recorded.values():
+            publishers = topic.subscription.get_publisher_count()
+            topic.publishers = max(topic.publishers, publishers)
+            matched += publishers
+        if matched != self.matched:
+            self.matched = matched
+            self.publish_diagnostics()
 
     def record(self, name: str, given_name: str, publishers: list[TopicEndpointInfo]) -> None:
         """Subscribe to a topic as its publishers offer it."""
@@ -73,26 +134,31 @@ class Logger(AbraceNode):
         topic_id = self.bag.add_topic(
             name, definition.type_name, definition.text, definition.type_hash, offered_qos(offered[0])
         )
-        self.counts[given_name] = 0
-        self.subscribe_to(message_type, given_name, self.writer(topic_id, given_name), qos, raw=True)
+        subscription = self.input.create_subscription(message_type, name, _never_called, qos, raw=True)
+        self.recorded[given_name] = Recorded(subscription, topic_id, len(publishers))
 
-    def writer(self, topic_id: int, name: str) -> Callable[[bytes], None]:
-        """The callback that writes a topic's messages.
+    def tick(self) -> None:
+        """Write what has come."""
+        self.due = time.monotonic() + TAKE_PERIOD
+        try:
+            for topic in self.recorded.values():
+                self.take(topic)
+        except AbraceError as error:
+            self.finish(1, str(error))
 
-        Its one argument is the message: with a second one, for the times of the middleware, the events executor of
-        rclpy 7.1 breaks. So a message's log time and publish time are both its arrival here.
-        """
-        write, counts, now = self.bag.write, self.counts, time.time_ns
-
-        def on_message(payload: bytes) -> None:
-            arrival = now()
-            try:
-                write(topic_id, payload, arrival, arrival)
-            except AbraceError as error:
-                self.finish(1, str(error))
-            counts[name] += 1
-
-        return on_message
+    def take(self, topic: Recorded) -> None:
+        """Write a topic's messages that have come."""
+        write, topic_id, message_type = self.bag.write, topic.topic_id, topic.subscription.msg_type
+        handle = topic.subscription.handle
+        with handle:
+            while (taken := handle.take_message(message_type, True)) is not None:
+                payload, info = taken
+                write(topic_id, payload, info["received_timestamp"], info["source_timestamp"])
+                topic.count += 1
+                number = info["publication_sequence_number"]
+                if topic.last and number > topic.last + 1:
+                    topic.skipped += number - topic.last - 1
+                topic.last = number
 
     def flush(self) -> None:
         """Make everything so far outlive this process."""
@@ -103,16 +169,30 @@ class Logger(AbraceNode):
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """State for `diagnostics`."""
-        values: dict[str, object] = {f"messages of {name}": count for name, count in self.counts.items()}
+        values: dict[str, object] = {}
+        for name, topic in self.recorded.items():
+            values[f"publishers of {name}"] = topic.subscription.get_publisher_count()
+            values[f"messages of {name}"] = topic.count
+            values[f"lost of {name}"] = topic.lost
         if self.missing:
             values["not seen yet"] = ", ".join(sorted(self.missing.values()))
         return None, "recording", values
 
     def closing(self) -> None:
-        """Close the bag."""
+        """Take what is still there and close the bag."""
+        if self.exit_code is None:
+            self.tick()
         self.bag.close()
-        counts = ", ".join(f"{count} of {name}" for name, count in self.counts.items())
+        self.input.destroy_node()
+        counts = ", ".join(f"{topic.count} of {name}" for name, topic in self.recorded.items())
+        lost = ", ".join(f"{topic.lost} of {name}" for name, topic in self.recorded.items() if topic.lost)
         print(f"logger: wrote {self.parameters.output}: {counts or 'nothing came'}", flush=True)
+        if lost:
+            print(f"logger: LOST {lost}", file=sys.stderr, flush=True)
+
+
+def _never_called(message: bytes) -> None:
+    """The callback that a subscription has to have."""
 
 
 def _fact(text: str) -> tuple[str, str]:

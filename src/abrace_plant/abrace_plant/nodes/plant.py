@@ -82,8 +82,11 @@ class Plant(AbraceLifecycleNode):
         self.next_look = 0.0
 
     def activate(self) -> None:
-        """Start at sample 0."""
+        """Start at sample 0; a fault stays latched."""
+        fault = self.loop.fault_reason
         self.start()
+        if fault is not None:
+            self.loop.fault(fault)
         self.due = time.monotonic()
 
     def deactivate(self) -> None:
@@ -112,6 +115,8 @@ class Plant(AbraceLifecycleNode):
     def take_sample(self) -> None:
         """Step the rig, publish its response, set when to wake next."""
         sample = self.loop.sample()
+        if sample.sequence == 0:
+            self.began = time.monotonic()
         reading, floors, groups = sample.reading, self.floors, self.groups
         message, stamp = self.message, self.schedule.stamp(sample.sequence)
         message.header.stamp = Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
@@ -131,13 +136,17 @@ class Plant(AbraceLifecycleNode):
             self.joint_states.publish(self.joints)
             if self.clock_publisher is not None:
                 self.clock_publisher.publish(Clock(clock=message.header.stamp))
-        if self.schedule.is_last(sample.sequence):
-            self.due = None
-            self.finish(0, f"done: {sample.sequence + 1} samples")
-        elif self.parameters.lockstep:
+        if self.parameters.lockstep:
             self.due = now + self.parameters.lockstep_timeout
+        elif self.schedule.is_last(sample.sequence):
+            self.end(now)
         else:
             self.due = self.schedule.next_due(sample.sequence, now)
+
+    def end(self, now: float) -> None:
+        """The run is over: the last sample has been taken, in lockstep also answered."""
+        self.due = None
+        self.finish(0, f"done: {self.loop.sequence + 1} samples in {now - self.began:.1f} s")
 
     def on_command(self, message: BraceCommand) -> None:
         """A command answers a sample."""
@@ -159,12 +168,15 @@ class Plant(AbraceLifecycleNode):
             for name in self.parameters.wait_for:
                 if not self.loop.answered(name):
                     return
-            self.take_sample()
+            if self.schedule.is_last(self.loop.sequence):
+                self.end(time.monotonic())
+            else:
+                self.take_sample()
 
     def on_emergency_stop(self, message: Bool) -> None:
         """Someone pressed the button."""
         if message.data:
-            self.loop.emergency_stop()
+            self.loop.fault("emergency stop")
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """A person clears the latched fault."""

@@ -1,0 +1,201 @@
+"""The loop's three messages as they are on the wire (CDR, little endian), packed and unpacked in one step each.
+
+rclpy builds a Python object for each message and each message in it: 10 to 16 microseconds a message, most of what a
+lockstep sample costs beside DDS. The nodes of the loop take and publish these bytes instead; to everyone else they are
+ordinary messages. Tests hold every layout against rclpy's own serialisation.
+
+Layout (XCDR1): 4 bytes of encapsulation; then, with alignment counted from there, the header (int32 sec, uint32 nanosec,
+string frame_id), and the fields of Response, BraceCommand or geometry_msgs/AccelStamped.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, NamedTuple
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+_HEAD = struct.Struct("<4siII")
+_BODY = 4
+"""Where alignment counts from."""
+
+
+class Head(NamedTuple):
+    """Stamp [ns] and the place of the first 8-byte field of a stamped message."""
+
+    stamp: int
+    offset: int
+
+
+def _aligned(offset: int, size: int) -> int:
+    return offset + (_BODY - offset) % size
+
+
+def head(payload: bytes) -> Head:
+    """The header of a `payload` of any of the three messages.
+
+    Raises
+    ------
+    AbraceError
+        If the payload is not little-endian CDR, or is cut.
+    """
+    if len(payload) < _HEAD.size or payload[:2] != LITTLE_ENDIAN[:2]:
+        raise AbraceError("message: expected a stamped message in little-endian CDR")
+    _, seconds, nanoseconds, length = _HEAD.unpack_from(payload)
+    return Head(seconds * 10**9 + nanoseconds, _aligned(_HEAD.size + length, 8))
+
+
+def _header(stamp: int, frame_id: str) -> bytes:
+    """Encapsulation and header, up to the next 8-byte field."""
+    text = frame_id.encode() + b"\0"
+    packed = _HEAD.pack(LITTLE_ENDIAN, stamp // 10**9, stamp % 10**9, len(text)) + text
+    return packed.ljust(_aligned(len(packed), 8), b"\0")
+
+
+class _Arrays:
+    """A sequence number and arrays of doubles of known lengths, and then single doubles."""
+
+    def __init__(self, offset: int, lengths: Sequence[int], singles: int) -> None:
+        form, place, self.starts = "<Q", offset + 8, []
+        values = 1
+        for length in lengths:
+            form, place = form + "I", place + 4
+            padding = (_aligned(place, 8) - place) if length else 0
+            form, place = form + f"{padding}x{length}d", place + padding + 8 * length
+            self.starts.append(values)
+            values += 1 + length
+        if singles:
+            form += f"{_aligned(place, 8) - place}x{singles}d"
+        self.lengths = tuple(lengths)
+        self.struct = struct.Struct(form)
+        self.offset = offset
+
+    def pack(self, sequence: int, arrays: Sequence[Sequence[float]], singles: Sequence[float]) -> bytes:
+        values: list[float] = []
+        for array in arrays:
+            values.append(len(array))
+            values.extend(array)
+        return self.struct.pack(sequence, *values, *singles)
+
+
+class Responses:
+    """Packs and unpacks Response messages; a reader learns the rig's size from the first one."""
+
+    _arrays: _Arrays | None = None
+    floors = groups = 0
+
+    def pack(
+        self,
+        stamp: int,
+        sequence: int,
+        displacement: Sequence[float],
+        acceleration: Sequence[float],
+        stroke: Sequence[float],
+        force: Sequence[float],
+        command: Sequence[float],
+        ground_acceleration: float,
+    ) -> bytes:
+        """The message with the fields of Response: `stamp` [ns], `sequence`, and `displacement`, `acceleration`, `stroke`,
+        `force`, `command`, `ground_acceleration` in SI units."""
+        arrays = (displacement, acceleration, stroke, force, command)
+        header = _header(stamp, "table")
+        if self._arrays is None:
+            self._arrays = _Arrays(len(header), [len(array) for array in arrays], 1)
+        return header + self._arrays.pack(sequence, arrays, (ground_acceleration,))
+
+    def unpack(self, payload: bytes) -> tuple[int, int, tuple[float, ...]]:
+        """Stamp [ns], sequence, and z = [displacement, stroke, acceleration, force] of a `payload`.
+
+        Raises
+        ------
+        AbraceError
+            If it is no Response.
+        """
+        stamp, offset = head(payload)
+        arrays = self._arrays
+        if arrays is None or arrays.offset != offset or len(payload) < offset + arrays.struct.size:
+            arrays = self._learn(payload, offset)
+        values = arrays.struct.unpack_from(payload, offset)
+        x, a, s, f, u = arrays.starts
+        n, m = self.floors, self.groups
+        if values[x] != n or values[a] != n or values[s] != m or values[f] != m or values[u] != m:
+            self._learn(payload, offset)
+            return self.unpack(payload)
+        z = values[x + 1 : x + 1 + n] + values[s + 1 : s + 1 + m] + values[a + 1 : a + 1 + n] + values[f + 1 : f + 1 + m]
+        return stamp, values[0], z
+
+    def _learn(self, payload: bytes, offset: int) -> _Arrays:
+        place, lengths = offset + 8, []
+        for _ in range(5):
+            place = _aligned(place, 4)
+            if place + 4 > len(payload):
+                raise AbraceError("Response: cut off")
+            (length,) = struct.unpack_from("<I", payload, place)
+            lengths.append(length)
+            place += 4
+            if length:
+                place = _aligned(place, 8) + 8 * length
+        if _aligned(place, 8) + 8 > len(payload):
+            raise AbraceError("Response: cut off")
+        floors, accelerations, groups, forces, commands = lengths
+        if floors != accelerations or not groups == forces == commands:
+            raise AbraceError(f"Response: arrays of {lengths}, expected floors, floors, and three times brace groups")
+        self.floors, self.groups = floors, groups
+        self._arrays = _Arrays(offset, lengths, 1)
+        return self._arrays
+
+
+class BraceCommands:
+    """Packs and unpacks BraceCommand messages."""
+
+    _arrays: _Arrays | None = None
+
+    def pack(self, stamp: int, sequence: int, force: Sequence[float]) -> bytes:
+        """The message with `stamp` [ns] and `sequence` of the Response that it answers, and `force` [N]."""
+        header = _header(stamp, "")
+        if self._arrays is None or self._arrays.lengths != (len(force),):
+            self._arrays = _Arrays(len(header), [len(force)], 0)
+        return header + self._arrays.pack(sequence, (force,), ())
+
+    def unpack(self, payload: bytes) -> tuple[int, tuple[float, ...]]:
+        """Sequence and force [N] of a `payload`.
+
+        Raises
+        ------
+        AbraceError
+            If it is no BraceCommand.
+        """
+        _, offset = head(payload)
+        if len(payload) < offset + 12:
+            raise AbraceError("BraceCommand: cut off")
+        sequence, length = struct.unpack_from("<QI", payload, offset)
+        start = offset + 16
+        if length and len(payload) < start + 8 * length:
+            raise AbraceError("BraceCommand: cut off")
+        return sequence, struct.unpack_from(f"<{length}d", payload, start) if length else ()
+
+
+_ACCELERATION = struct.Struct("<6d")
+
+
+def pack_acceleration(stamp: int, acceleration: float) -> bytes:
+    """An AccelStamped of the table: `stamp` [ns], `acceleration` [m/s^2] along x."""
+    return _header(stamp, "table") + _ACCELERATION.pack(acceleration, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def unpack_acceleration(payload: bytes) -> tuple[int, float]:
+    """Stamp [ns] and acceleration along x [m/s^2] of an AccelStamped `payload`.
+
+    Raises
+    ------
+    AbraceError
+        If it is none.
+    """
+    stamp, offset = head(payload)
+    if len(payload) < offset + _ACCELERATION.size:
+        raise AbraceError("AccelStamped: cut off")
+    return stamp, _ACCELERATION.unpack_from(payload, offset)[0]

@@ -1,0 +1,153 @@
+"""A lockstep run: every sample recorded, each command in force when it should be, the same each time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from ament_index_python.packages import get_package_share_directory
+from rosbags.highlevel import AnyReader
+
+from abrace_core.bag import read_facts, read_run, read_topics
+from abrace_interfaces.msg import BraceCommand, Response
+from abrace_plant.rig_file import load_rig
+from abrace_plant.rig_loop import RigLoop
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+SAMPLES = 2000
+SEED = 5
+PERIOD = 2_000_000
+TOPICS = ("response", "brace_command", "ground_motion")
+
+
+def record(graph: Any) -> Path:
+    """A run of 4 s with noise on both inputs, started as `abrace campaign` does: the rig last, all being matched."""
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag), topics=list(TOPICS), facts=["sample_period=0.002"])
+    graph.start("plant", autostart=False, lockstep=True, wait_for=list(TOPICS[1:]), duration=4.0, seed=SEED)
+    graph.start("ground_motion", record="white_noise", duration=4.0)
+    graph.start("excitation", duration=4.0)
+    assert graph.change_state("plant", "configure")
+    graph.until_matched("plant", response=3, brace_command=1, ground_motion=1)
+    graph.until_matched("excitation", response=1, brace_command=2)
+    graph.until_matched("ground_motion", response=1, ground_motion=2)
+    graph.until_matched("logger", response=1, brace_command=1, ground_motion=1)
+    graph.may_end.add("plant")
+    assert graph.change_state("plant", "activate")
+    assert graph.ended("plant") == 0
+    assert graph.said("plant")[-1].startswith("plant: done: 2000 samples")
+    for name in ("excitation", "ground_motion", "logger"):
+        assert graph.stop(name) == 0
+    return bag
+
+
+@pytest.fixture(scope="module")
+def bags(new_graph: Callable) -> list[Path]:
+    """The bags of two such runs."""
+    made = []
+    for _ in range(2):
+        with new_graph() as graph:
+            made.append(record(graph))
+    return made
+
+
+def fields(bag: Path) -> dict[str, dict[str, np.ndarray]]:
+    """The fields of each topic, by the last part of its name."""
+    contents = read_topics(bag)
+    assert contents.warnings == ()
+    return {name.rpartition("/")[2]: topic.fields for name, topic in contents.items()}
+
+
+def stamps(topic: dict[str, np.ndarray]) -> np.ndarray:
+    return topic["header.stamp.sec"].astype(np.int64) * 10**9 + topic["header.stamp.nanosec"]
+
+
+def test_every_sample_is_recorded_on_every_topic(bags):
+    recorded = fields(bags[0])
+    assert set(recorded) == set(TOPICS)
+    for topic in ("response", "brace_command"):
+        np.testing.assert_array_equal(recorded[topic]["sequence"], np.arange(SAMPLES), err_msg=topic)
+    for topic in TOPICS:
+        np.testing.assert_array_equal(stamps(recorded[topic]), np.arange(SAMPLES) * PERIOD, err_msg=topic)
+
+
+def test_a_command_from_sample_k_is_in_force_until_sample_k_plus_2(bags):
+    recorded = fields(bags[0])
+    command, answered = recorded["response"]["command"], recorded["brace_command"]["force"]
+    assert np.abs(answered).max() > 1000, "the braces were driven"
+    np.testing.assert_array_equal(command[2:], answered[:-2])
+    np.testing.assert_array_equal(command[:2], 0.0)
+
+
+def test_two_runs_give_the_same_bytes(bags):
+    def payloads(bag: Path) -> list[bytes]:
+        with AnyReader([bag]) as reader:
+            chosen = [connection for connection in reader.connections if connection.topic.endswith("/response")]
+            return [raw for _, _, raw in reader.messages(chosen)]
+
+    first, second = map(payloads, bags)
+    assert len(first) == SAMPLES
+    assert first == second
+
+
+def test_readings_are_those_of_the_same_rig_simulated_offline(bags):
+    recorded = fields(bags[0])
+    response = recorded["response"]
+    rig = load_rig(f"{get_package_share_directory('abrace_plant')}/config/ncree_three_storey.yaml")
+    loop = RigLoop(rig, SEED, command_timeout=0.02)
+    readings, commands = [], []
+    inputs = zip(recorded["brace_command"]["force"], recorded["ground_motion"]["accel.linear.x"], strict=True)
+    for k, (force, acceleration) in enumerate(inputs):
+        sample = loop.sample()
+        readings.append(sample.reading)
+        commands.append(sample.command)
+        loop.take_command(k, force)
+        loop.take_ground_acceleration(k, acceleration)
+    floors, groups = rig.floors, rig.groups
+    expected = np.split(np.array(readings), np.cumsum([floors, groups, floors, groups]), axis=1)
+    for name, values in zip(("displacement", "stroke", "acceleration", "force"), expected, strict=False):
+        np.testing.assert_array_equal(response[name], values, err_msg=name)
+    np.testing.assert_array_equal(response["ground_acceleration"], expected[-1][:, 0])
+    np.testing.assert_array_equal(response["command"], np.array(commands))
+    assert np.abs(response["displacement"]).max() > 1e-3, "the building moved"
+
+
+def test_rosbags_reads_the_values_that_we_read(bags):
+    recorded = fields(bags[0])
+    vectors = ("displacement", "acceleration", "stroke", "force", "command")
+    seen = dict.fromkeys(TOPICS, 0)
+    with AnyReader([bags[0]]) as reader:
+        for connection, _, raw in reader.messages():
+            topic = connection.topic.rpartition("/")[2]
+            k, ours = seen[topic], recorded[topic]
+            seen[topic] += 1
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            assert message.header.stamp.nanosec == ours["header.stamp.nanosec"][k]
+            if topic == "ground_motion":
+                assert message.accel.linear.x == ours["accel.linear.x"][k]
+                continue
+            assert message.sequence == ours["sequence"][k]
+            for name in vectors if topic == "response" else ("force",):
+                np.testing.assert_array_equal(getattr(message, name), ours[name][k])
+    assert seen == dict.fromkeys(TOPICS, SAMPLES)
+
+
+def test_the_bag_is_a_run_of_the_rig(bags):
+    run = read_run(bags[0])
+    assert (len(run.sequence), run.floors, run.groups, run.sample_period) == (SAMPLES, 3, 1, 0.002)
+    assert read_facts(bags[0])["sample_period"] == "0.002"
+    assert (bags[0] / "metadata.yaml").is_file()
+
+
+def test_a_missing_answer_ends_the_run_and_is_named(graph):
+    graph.start("plant", lockstep=True, wait_for=list(TOPICS[1:]), lockstep_timeout=0.5)
+    graph.start("ground_motion")
+    responses = graph.listen(Response, "response")
+    graph.publisher(BraceCommand, "brace_command")
+    assert graph.ended("plant") == 1
+    assert graph.said("plant") == ["plant: no answer to sample 0 on brace_command within 0.5 s (lockstep_timeout)"]
+    assert [message.sequence for message in responses] == [0]
