@@ -7,15 +7,16 @@ guard, the emergency stop, faults that a person clears, and a smooth end when th
 from __future__ import annotations
 
 import time
-from array import array
 from typing import TYPE_CHECKING
 
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from abrace_core.command_guard import CommandGuard
+from abrace_core.errors import AbraceError
 from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, AbraceLifecycleNode, Parameter
 from abrace_core.sample_watch import SampleWatch
+from abrace_core.wire import BraceCommands, Responses
 from abrace_interfaces.msg import BraceCommand, Response
 
 if TYPE_CHECKING:
@@ -44,21 +45,24 @@ class BraceCommander(AbraceLifecycleNode):
         rates = [self.parameters.rate_limit] * len(force_limit)
         self.guard = CommandGuard(force_limit, rates, sample_period, RAMP_TIME)
         self.watch = SampleWatch(sample_period)
-        self.command = BraceCommand()
+        self.responses, self.commands = Responses(), BraceCommands()
         self.slowest = 0.0
         self.quiet = True
         self.stopped = False
         self.publisher = self.publish_on(BraceCommand, "brace_command", KEPT_STREAM_QOS)
-        self.subscribe_to(Response, "response", self.on_response, KEPT_STREAM_QOS)
+        self.subscribe_to(Response, "response", self.on_response, KEPT_STREAM_QOS, raw=True)
         self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
         self.create_service(Trigger, "~/clear_fault", self.on_clear_fault)
 
-    def restart(self, response: Response) -> None:
+    def restart(self, sequence: int, floors: int, groups: int) -> None:
         """Begin anew with this sample, the first of a rig's run or after a fault; subclasses forget the past here."""
         raise NotImplementedError
 
-    def force(self, response: Response, lost: int) -> NDArray[np.float64]:
-        """The force wanted (groups,) [N] in answer to a sample before which `lost` were lost; subclasses give it."""
+    def force(self, sequence: int, z: tuple[float, ...], lost: int) -> NDArray[np.float64]:
+        """The force wanted (groups,) [N] in answer to sample `sequence`; subclasses give it.
+
+        `z` is [displacements, strokes, accelerations, forces], as measured; `lost` samples were lost just before.
+        """
         raise NotImplementedError
 
     def activate(self) -> None:
@@ -73,24 +77,24 @@ class BraceCommander(AbraceLifecycleNode):
         """The force goes to zero; answers end when it is there."""
         self.guard.fault(DEACTIVATED)
 
-    def on_response(self, response: Response) -> None:
+    def on_response(self, payload: bytes) -> None:
         """Answer a sample."""
         if not self.active and self.quiet:
             return
         begin = time.perf_counter()
-        stamp = response.header.stamp
-        lost = self.watch.take(response.sequence, stamp.sec * 10**9 + stamp.nanosec)
+        try:
+            stamp, sequence, z = self.responses.unpack(payload)
+        except AbraceError as error:
+            self.guard.fault(str(error))
+            return
+        lost = self.watch.take(sequence, stamp)
         if self.watch.problem:
             self.guard.fault(self.watch.problem)
         if lost < 0:
-            self.restart(response)
-        wanted = self.force(response, lost) if self.guard.fault_reason is None else None
+            self.restart(sequence, self.responses.floors, self.responses.groups)
+        wanted = self.force(sequence, z, lost) if self.guard.fault_reason is None else None
         force = self.guard.check(wanted)
-        command = self.command
-        command.header.stamp = stamp
-        command.sequence = response.sequence
-        command.force = array("d", force)
-        self.publisher.publish(command)
+        self.publisher.publish(self.commands.pack(stamp, sequence, force.tolist()))
         self.quiet = not force.any()
         self.slowest = max(self.slowest, time.perf_counter() - begin)
 

@@ -14,7 +14,7 @@ import numpy as np
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
-    from array import array
+    from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -96,7 +96,7 @@ class CommandGuard:
         self._fault_reason = None
         self._command = [0.0] * len(self._capacity)
 
-    def check(self, force: NDArray[np.float64] | array[float] | None) -> NDArray[np.float64]:
+    def check(self, force: NDArray[np.float64] | Sequence[float] | None) -> NDArray[np.float64]:
         """The force that may act from this sample on; to be called once a sample.
 
         Parameters
@@ -115,7 +115,7 @@ class CommandGuard:
         self._force = self._follow() if self._fault_reason is None else self._ramp_down()
         return np.array(self._force)
 
-    def _take(self, force: NDArray[np.float64] | array[float]) -> None:
+    def _take(self, force: NDArray[np.float64] | Sequence[float]) -> None:
         """Make this the command in force, cut to capacity, or latch a fault."""
         try:
             given = np.asarray(force, dtype=np.float64)

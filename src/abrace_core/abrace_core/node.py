@@ -11,6 +11,7 @@ line says what, where, and what was expected).
 
 from __future__ import annotations
 
+import gc
 import re
 import signal
 import sys
@@ -464,6 +465,9 @@ def _spin(node: Watched, signals: _Signals) -> int:
     """Turn the events executor until the node or a person ends it."""
     executor = EventsExecutor()
     executor.add_node(node)
+    # what stands by now is never looked at by the garbage collector, whose pauses would be late samples
+    gc.collect()
+    gc.freeze()
     signals.spinning = True
     spin_once = executor.spin_once
     spin, ended = executor.spin_until_future_complete, node.ended

@@ -4,8 +4,8 @@ rclpy builds a Python object for each message and each message in it: 10 to 16 m
 lockstep sample costs beside DDS. The nodes of the loop take and publish these bytes instead; to everyone else they are
 ordinary messages. Tests hold every layout against rclpy's own serialisation.
 
-Layout (XCDR1): 4 bytes of encapsulation; then, with alignment counted from there, the header (int32 sec, uint32 nanosec,
-string frame_id), and the fields of Response, BraceCommand or geometry_msgs/AccelStamped.
+Layout (XCDR1): 4 bytes of encapsulation; then, with alignment counted from there, the header (int32 sec, uint32
+nanosec, string frame_id), and the fields of Response, BraceCommand or geometry_msgs/AccelStamped.
 """
 
 from __future__ import annotations
@@ -75,6 +75,7 @@ class _Arrays:
         self.offset = offset
 
     def pack(self, sequence: int, arrays: Sequence[Sequence[float]], singles: Sequence[float]) -> bytes:
+        """`sequence`, `arrays` and `singles` in this layout."""
         values: list[float] = []
         for array in arrays:
             values.append(len(array))
@@ -99,8 +100,11 @@ class Responses:
         command: Sequence[float],
         ground_acceleration: float,
     ) -> bytes:
-        """The message with the fields of Response: `stamp` [ns], `sequence`, and `displacement`, `acceleration`, `stroke`,
-        `force`, `command`, `ground_acceleration` in SI units."""
+        """The message with the fields of Response, SI units; `stamp` [ns].
+
+        `sequence`, `displacement`, `acceleration`, `stroke`, `force`, `command` and `ground_acceleration` are as in
+        Response.msg; their lengths stay those of the first call.
+        """
         arrays = (displacement, acceleration, stroke, force, command)
         header = _header(stamp, "table")
         if self._arrays is None:
@@ -125,7 +129,12 @@ class Responses:
         if values[x] != n or values[a] != n or values[s] != m or values[f] != m or values[u] != m:
             self._learn(payload, offset)
             return self.unpack(payload)
-        z = values[x + 1 : x + 1 + n] + values[s + 1 : s + 1 + m] + values[a + 1 : a + 1 + n] + values[f + 1 : f + 1 + m]
+        z = (
+            values[x + 1 : x + 1 + n]
+            + values[s + 1 : s + 1 + m]
+            + values[a + 1 : a + 1 + n]
+            + values[f + 1 : f + 1 + m]
+        )
         return stamp, values[0], z
 
     def _learn(self, payload: bytes, offset: int) -> _Arrays:

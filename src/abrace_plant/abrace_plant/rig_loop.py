@@ -56,7 +56,7 @@ class _Input:
         self.name = name
         self.guard = guard
         self._timeout = timeout_samples
-        self._pending: NDArray[np.float64] | None = None
+        self._pending: Sequence[float] | None = None
         self.value = guard.check(None)
         self.answered = -1
         self.late = 0
@@ -72,7 +72,7 @@ class _Input:
         if sequence < now:
             self.late += 1
         self.answered = sequence
-        self._pending = np.asarray(value, dtype=np.float64)
+        self._pending = value
 
     def advance(self, last: int) -> NDArray[np.float64]:
         """The value from the next sample on; `last` is the number of the sample before."""

@@ -11,7 +11,6 @@ from abrace_core.brace_commander import BraceCommander
 from abrace_core.controller_file import ControllerParameters, controller_from_parameters
 from abrace_core.node import Parameter, run
 from abrace_core.signals import command_names, response_names
-from abrace_interfaces.msg import Response
 from abrace_lqg.controller import ControlLaw
 
 PARAMETERS = [
@@ -45,10 +44,9 @@ class Controller(BraceCommander):
         self.law = ControlLaw(law.a, law.b, law.c, law.d, self.controller.force_limit)
         self.open_loop(law.sample_period, self.controller.force_limit.tolist())
 
-    def restart(self, response: Response) -> None:
+    def restart(self, sequence: int, floors: int, groups: int) -> None:
         """Forget the past; find the measured quantities in this rig's responses."""
         self.law.reset()
-        floors, groups = len(response.displacement), len(response.stroke)
         names = response_names(floors, groups)
         law = self.controller.law
         missing = [name for name in law.inputs if name not in names]
@@ -61,11 +59,10 @@ class Controller(BraceCommander):
         self.measured = [names.index(name) for name in law.inputs]
         self.last = [0.0] * len(self.measured)
 
-    def force(self, response: Response, lost: int) -> np.ndarray:
+    def force(self, sequence: int, z: tuple[float, ...], lost: int) -> np.ndarray:
         """The law's answer; over lost samples its state goes on with the last measured values."""
         for _ in range(lost):
             self.law.update(self.last)
-        z = [*response.displacement, *response.stroke, *response.acceleration, *response.force]
         self.last = [z[index] for index in self.measured]
         return self.law.update(self.last)
 

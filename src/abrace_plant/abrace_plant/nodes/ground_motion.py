@@ -15,6 +15,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, AbraceLifecycleNode, Parameter, run
 from abrace_core.noise import banded_noise
 from abrace_core.sample_watch import SampleWatch
+from abrace_core.wire import Responses, pack_acceleration
 from abrace_interfaces.action import PlayGroundMotion
 from abrace_interfaces.msg import Response
 from abrace_plant.ground_motion import prepare
@@ -66,10 +67,9 @@ class GroundMotion(AbraceLifecycleNode):
         given = self.parameters
         self.watch = SampleWatch(1 / given.sample_rate)
         self.first_motion = self.motion(given.record, given.peak_acceleration, given.duration) if given.record else None
-        self.message = AccelStamped()
-        self.message.header.frame_id = "table"
+        self.responses = Responses()
         self.publisher = self.publish_on(AccelStamped, "ground_motion", KEPT_STREAM_QOS)
-        self.subscribe_to(Response, "response", self.on_response, KEPT_STREAM_QOS)
+        self.subscribe_to(Response, "response", self.on_response, KEPT_STREAM_QOS, raw=True)
         self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
         self.server = PlayServer(
             self,
@@ -117,19 +117,23 @@ class GroundMotion(AbraceLifecycleNode):
             if self.playback.done:
                 self.end_goal(self.playback)
 
-    def on_response(self, response: Response) -> None:
+    def on_response(self, payload: bytes) -> None:
         """Answer a sample."""
         if not self.active and (self.playback is None or self.playback.done):
             return
-        stamp, sequence = response.header.stamp, response.sequence
-        if self.watch.take(sequence, stamp.sec * 10**9 + stamp.nanosec) < 0:
+        try:
+            stamp, sequence, _ = self.responses.unpack(payload)
+        except AbraceError as error:
+            self.get_logger().error(str(error))
+            self.come_to_rest()
+            return
+        if self.watch.take(sequence, stamp) < 0:
             self.start_anew(sequence)
         playback = self.playback
         if self.watch.problem and playback is not None and playback.played:
             playback.cancel()
-        self.message.header.stamp = stamp
-        self.message.accel.linear.x = playback.answer(sequence) if playback is not None else 0.0
-        self.publisher.publish(self.message)
+        acceleration = playback.answer(sequence) if playback is not None else 0.0
+        self.publisher.publish(pack_acceleration(stamp, acceleration))
         if playback is not None and self.goal is not None:
             if playback.done:
                 self.end_goal(playback)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from array import array
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import AccelStamped
@@ -12,6 +11,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
+from abrace_core.errors import AbraceError
 from abrace_core.node import (
     KEPT_STREAM_QOS,
     LATCHED_QOS,
@@ -21,6 +21,7 @@ from abrace_core.node import (
     find_file,
     run,
 )
+from abrace_core.wire import BraceCommands, Responses, unpack_acceleration
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_plant.rig_file import load_rig
 from abrace_plant.rig_loop import COMMAND, GROUND, RigLoop
@@ -63,13 +64,12 @@ class Plant(AbraceLifecycleNode):
         self.description.publish(String(data=urdf(self.rig)))
         self.clock_publisher = self.create_publisher(Clock, "/clock", 10) if given.lockstep else None
         self.inputs = {
-            COMMAND: self.subscribe_to(BraceCommand, COMMAND, self.on_command, STREAM_QOS),
-            GROUND: self.subscribe_to(AccelStamped, GROUND, self.on_ground_motion, STREAM_QOS),
+            COMMAND: self.subscribe_to(BraceCommand, COMMAND, self.on_command, STREAM_QOS, raw=True),
+            GROUND: self.subscribe_to(AccelStamped, GROUND, self.on_ground_motion, STREAM_QOS, raw=True),
         }
         self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
         self.create_service(Trigger, "~/clear_fault", self.on_clear_fault)
-        self.message = Response()
-        self.message.header.frame_id = "table"
+        self.responses, self.commands = Responses(), BraceCommands()
         self.joints = JointState(name=list(joint_names(self.rig)))
         self.start()
 
@@ -117,25 +117,27 @@ class Plant(AbraceLifecycleNode):
         sample = self.loop.sample()
         if sample.sequence == 0:
             self.began = time.monotonic()
-        reading, floors, groups = sample.reading, self.floors, self.groups
-        message, stamp = self.message, self.schedule.stamp(sample.sequence)
-        message.header.stamp = Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
-        message.sequence = sample.sequence
-        message.displacement = array("d", reading[:floors])
-        message.stroke = array("d", reading[floors : floors + groups])
-        message.acceleration = array("d", reading[floors + groups : 2 * floors + groups])
-        message.force = array("d", reading[2 * floors + groups : -1])
-        message.command = array("d", sample.command)
-        message.ground_acceleration = float(reading[-1])
-        self.response.publish(message)
+        reading, floors, groups = sample.reading.tolist(), self.floors, self.groups
+        stamp = self.schedule.stamp(sample.sequence)
+        payload = self.responses.pack(
+            stamp,
+            sample.sequence,
+            displacement=reading[:floors],
+            acceleration=reading[floors + groups : 2 * floors + groups],
+            stroke=reading[floors : floors + groups],
+            force=reading[2 * floors + groups : -1],
+            command=sample.command.tolist(),
+            ground_acceleration=reading[-1],
+        )
+        self.response.publish(payload)
         now = time.monotonic()
         if now >= self.next_look:
             self.next_look = now + LOOK_PERIOD
-            self.joints.header.stamp = message.header.stamp
-            self.joints.position = message.displacement
+            self.joints.header.stamp = Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
+            self.joints.position = reading[:floors]
             self.joint_states.publish(self.joints)
             if self.clock_publisher is not None:
-                self.clock_publisher.publish(Clock(clock=message.header.stamp))
+                self.clock_publisher.publish(Clock(clock=self.joints.header.stamp))
         if self.parameters.lockstep:
             self.due = now + self.parameters.lockstep_timeout
         elif self.schedule.is_last(sample.sequence):
@@ -148,18 +150,23 @@ class Plant(AbraceLifecycleNode):
         self.due = None
         self.finish(0, f"done: {self.loop.sequence + 1} samples in {now - self.began:.1f} s")
 
-    def on_command(self, message: BraceCommand) -> None:
+    def on_command(self, payload: bytes) -> None:
         """A command answers a sample."""
         if self.active:
-            self.loop.take_command(message.sequence, message.force)
+            try:
+                self.loop.take_command(*self.commands.unpack(payload))
+            except AbraceError as error:
+                self.loop.fault(str(error))
             self.move_on()
 
-    def on_ground_motion(self, message: AccelStamped) -> None:
+    def on_ground_motion(self, payload: bytes) -> None:
         """A ground acceleration answers a sample."""
         if self.active:
-            stamp = message.header.stamp
-            sequence = self.schedule.sequence(stamp.sec * 10**9 + stamp.nanosec)
-            self.loop.take_ground_acceleration(sequence, message.accel.linear.x)
+            try:
+                stamp, acceleration = unpack_acceleration(payload)
+                self.loop.take_ground_acceleration(self.schedule.sequence(stamp), acceleration)
+            except AbraceError as error:
+                self.loop.fault(str(error))
             self.move_on()
 
     def move_on(self) -> None:

@@ -8,7 +8,6 @@ from abrace_core.brace_commander import BraceCommander
 from abrace_core.errors import AbraceError
 from abrace_core.node import Parameter, run
 from abrace_core.noise import banded_noise
-from abrace_interfaces.msg import Response
 
 PARAMETERS = [
     Parameter("sample_rate", 500.0, "Hz, of the rig", minimum=1.0),
@@ -42,16 +41,15 @@ class Excitation(BraceCommander):
         self.first = 0
         self.open_loop(1 / given.sample_rate, given.force_limit)
 
-    def restart(self, response: Response) -> None:
+    def restart(self, sequence: int, floors: int, groups: int) -> None:
         """The noise begins with this sample."""
-        self.first = response.sequence
-        groups = len(response.command)
+        self.first = sequence
         if groups != len(self.nothing):
             self.guard.fault(f"the rig has {groups} brace groups, expected {len(self.nothing)} (parameter force_limit)")
 
-    def force(self, response: Response, lost: int) -> np.ndarray:
+    def force(self, sequence: int, z: tuple[float, ...], lost: int) -> np.ndarray:
         """The noise of this sample; zero when it is over."""
-        index = response.sequence - self.first
+        index = sequence - self.first
         return self.noise[index] if index < len(self.noise) else self.nothing
 
 
