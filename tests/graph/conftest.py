@@ -8,7 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
+import re
+import signal
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import domain_coordinator
@@ -30,7 +34,6 @@ from abrace_interfaces.msg import BraceCommand, Response
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
 
     from rclpy.client import Client
     from rclpy.node import Node
@@ -66,8 +69,6 @@ class Graph:
         self.executor = SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
         self.started: dict[str, NodeProcess] = {}
-        self.environment: dict[str, str] = {}
-        """Variables for the nodes in addition to ours."""
         self.may_end: set[str] = set()
         """Names of nodes that may end while we wait."""
         self._clients: dict[str, Client] = {}
@@ -96,7 +97,7 @@ class Graph:
         if parameters:
             command += ["--params-file", parameter_file(self.folder / f"{name}.yaml", parameters)]
         log = self.folder / f"{name}.log"
-        process = self.processes.start(name, [*command, *arguments], log, self.environment)
+        process = self.processes.start(name, [*command, *arguments], log)
         self.started[name] = process
         if executable != "logger":
             self._client(ChangeState, f"{name}/change_state")
@@ -140,6 +141,16 @@ class Graph:
         self.until(lambda: process.returncode is not None, f"{name} to end")
         assert process.returncode is not None
         return process.returncode
+
+    def kill(self, name: str) -> None:
+        """End a node with SIGKILL, and remove what it then leaves in shared memory."""
+        process = self.started[name]
+        maps = Path(f"/proc/{process.group}/maps").read_text()
+        os.kill(process.group, signal.SIGKILL)
+        assert self.ended(name) == -signal.SIGKILL
+        for segment in set(re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", maps)):
+            for file in (Path(segment), Path(segment + "_el")):
+                file.unlink(missing_ok=True)
 
     def said(self, name: str) -> list[str]:
         """The lines that a node has printed."""

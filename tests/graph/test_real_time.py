@@ -1,14 +1,11 @@
 """The rig by the clock: stamps, the controller in the loop, braces and table left alone by those who drove them.
 
-Commands may stay away for 0.1 s here, not 0.02 s: a machine that is busy with other tests makes nodes wait that long.
-No shared memory: in Fast DDS 2.14 a node that joins can hold up every other one's publishing for 333 ms by it, and one
-that is killed leaves files.
+Commands may stay away for 0.5 s here, not 0.02 s: Fast DDS 2.14 can hold up a node that publishes for 333 ms when
+another one joins (it looks whether the other's shared memory is alive), and the machine may be busy with other tests.
 """
 
 from __future__ import annotations
 
-import os
-import signal
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 PERIOD = 2_000_000
-TIMEOUT = 0.1
+TIMEOUT = 0.5
 RAMP_SAMPLES = 250
 RATE_STEP = 5.0e6 / 500
 DRIVEN = {"rms": 5000.0, "duration": 60.0}
@@ -40,7 +37,6 @@ def stamp(message: Any) -> int:
 def rig(new_graph: Callable) -> Iterator[Any]:
     """One plant in real time for all of these tests."""
     with new_graph() as graph:
-        graph.environment["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
         graph.start("plant", command_timeout=TIMEOUT)
         yield graph
 
@@ -104,11 +100,9 @@ def test_stamps_are_2_ms_apart_and_the_building_is_at_rest(graph):
 
 
 def test_a_killed_commander_is_a_fault_and_the_force_goes_smoothly_to_zero(graph):
-    process = graph.start("excitation", **DRIVEN)
-    graph.may_end.add("excitation")
+    graph.start("excitation", **DRIVEN)
     until_driven(graph)
-    os.kill(process.group, signal.SIGKILL)
-    assert graph.ended("excitation") == -signal.SIGKILL
+    graph.kill("excitation")
     graph.until_fault("plant", "no brace_command for")
     graph.until(lambda: not graph.responses[-1].command[0], "the force to go to zero")
     until_samples(graph, 50)
@@ -117,7 +111,7 @@ def test_a_killed_commander_is_a_fault_and_the_force_goes_smoothly_to_zero(graph
     released = last - RAMP_SAMPLES + 1
     held = np.flatnonzero(command[:released] != command[released])[-1] + 1
     assert command[released] in [message.force[0] for message in graph.commands[-5:]], "the last command holds"
-    assert TIMEOUT * 500 - 10 < released - held < TIMEOUT * 500 + 2, "for the time-out"
+    assert 0.8 * TIMEOUT * 500 < released - held < TIMEOUT * 500 + 2, "for the time-out"
     expect_smooth_end(command[released:])
     graph.stop("excitation")
 

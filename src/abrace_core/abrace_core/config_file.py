@@ -53,7 +53,8 @@ def read_config(path: Path | str, schema: type[Schema], kind: str) -> Schema:
     try:
         return schema.model_validate(content)
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
+        # a misspelt key is both unknown and missing: the first says more
+        first = min(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] == "extra_forbidden":
             raise AbraceError(f"{kind} file {path}: {key}: unknown key") from error

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 LOOK_PERIOD = 0.02
 """Seconds of wall time between messages that are only looked at."""
+LONGEST_CATCH_UP = 0.01
+"""Seconds that a rig which was held up makes up for. After more it goes on from now: no commander could keep up."""
 
 
 class Schedule:
@@ -28,6 +30,8 @@ class Schedule:
         self._last = max(1, round(duration * sample_rate)) - 1 if duration else -1
         self.behind = 0
         """Samples that were taken a whole period late or more."""
+        self.held_up = 0.0
+        """Seconds that were not made up for: the stamps are so much behind the clock."""
 
     def stamp(self, sequence: int) -> int:
         """Instant of a sample [ns]."""
@@ -43,8 +47,13 @@ class Schedule:
         `now` is the instant at which `sequence` was taken.
         """
         due = self._monotonic_start + (sequence + 1) * self._period * 1e-9
-        self.behind += now > due
-        return due
+        late = now - due
+        self.behind += late > 0
+        if late <= LONGEST_CATCH_UP:
+            return due
+        self._monotonic_start += late
+        self.held_up += late
+        return now
 
     def is_last(self, sequence: int) -> bool:
         """Whether the run ends with this sample."""

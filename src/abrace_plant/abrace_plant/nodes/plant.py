@@ -201,6 +201,7 @@ class Plant(AbraceLifecycleNode):
         values: dict[str, object] = {
             "sequence": self.loop.sequence,
             "behind": self.schedule.behind,
+            "held_up": round(self.schedule.held_up, 3),
             **self.loop.counters(),
         }
         return self.loop.fault_reason, "running" if self.active else "not active", values

@@ -1,0 +1,95 @@
+"""The action play_ground_motion: played, cancelled, refused."""
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+
+from abrace_interfaces.action import PlayGroundMotion
+from abrace_interfaces.msg import Response
+
+
+class Player:
+    """A rig in real time with a table, and a client of its action."""
+
+    def __init__(self, graph) -> None:
+        self.graph = graph
+        graph.start("plant")
+        graph.start("ground_motion")
+        self.responses = graph.listen(Response, "response")
+        self.client = ActionClient(graph.node, PlayGroundMotion, "play_ground_motion")
+        self.feedback = []
+        graph.until(self.client.server_is_ready, "the action")
+        graph.until_matched("ground_motion", response=1)
+        graph.until(lambda: len(self.responses) > 10, "responses")
+
+    def send(self, **goal):
+        future = self.client.send_goal_async(
+            PlayGroundMotion.Goal(**goal), feedback_callback=lambda message: self.feedback.append(message.feedback)
+        )
+        self.graph.until(future.done, "an answer to the goal")
+        return future.result()
+
+    def result(self, handle):
+        future = handle.get_result_async()
+        self.graph.until(future.done, "the result")
+        return future.result()
+
+    @property
+    def ground(self) -> np.ndarray:
+        return np.array([response.ground_acceleration for response in self.responses])
+
+
+@pytest.fixture
+def player(graph) -> Player:
+    return Player(graph)
+
+
+def test_a_record_is_played_with_feedback_to_its_end(player):
+    handle = player.send(record="el_centro", peak_acceleration=0.5, duration=3.0)
+    assert handle.accepted
+    ended = player.result(handle)
+    assert ended.status == GoalStatus.STATUS_SUCCEEDED
+    assert ended.result.success
+    assert ended.result.samples == 1500
+    elapsed = [feedback.elapsed for feedback in player.feedback]
+    assert len(elapsed) > 10
+    assert elapsed == sorted(elapsed)
+    assert {feedback.duration for feedback in player.feedback} == {3.0}
+    assert np.abs(player.ground).max() == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_cancelled_motion_comes_smoothly_to_rest(player):
+    handle = player.send(record="white_noise", duration=30.0)
+    player.graph.until(lambda: np.abs(player.ground[-50:]).max() > 0.1, "motion")
+    cancelling = handle.cancel_goal_async()
+    player.graph.until(cancelling.done, "the cancelling")
+    ended = player.result(handle)
+    assert ended.status == GoalStatus.STATUS_CANCELED
+    assert "cancelled" in ended.result.message
+    assert 0 < ended.result.samples < 15000
+    count = len(player.responses) + 50
+    player.graph.until(lambda: len(player.responses) > count, "more responses")
+    assert np.abs(player.ground[-20:]).max() < 0.01
+    assert np.abs(np.diff(player.ground)).max() < 0.1
+
+
+def test_an_unknown_record_is_told_with_those_that_are_known(player):
+    ended = player.result(player.send(record="el_centre"))
+    assert ended.status == GoalStatus.STATUS_ABORTED
+    assert not ended.result.success
+    assert "el_centre" in ended.result.message
+    assert "el_centro" in ended.result.message
+    assert np.abs(player.ground).max() < 0.01
+
+
+@pytest.mark.parametrize("wrong", [{"duration": -1.0}, {"peak_acceleration": float("nan")}, {"record": ""}])
+def test_a_goal_with_wrong_values_is_told(player, wrong):
+    ended = player.result(player.send(**{"record": "el_centro", **wrong}))
+    assert ended.status == GoalStatus.STATUS_ABORTED
+    assert "goal:" in ended.result.message
+
+
+def test_a_goal_is_refused_while_another_plays(player):
+    assert player.send(record="white_noise", duration=30.0).accepted
+    assert not player.send(record="el_centro").accepted

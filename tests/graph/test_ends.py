@@ -1,0 +1,182 @@
+"""How nodes end, and what they refuse: signals, a killed logger, wrong parameters and files."""
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from std_msgs.msg import String
+
+from abrace_bringup.processes import find_executable
+from abrace_core.bag import read_run, read_topics
+from abrace_core.node import LATCHED_QOS
+
+RIG = Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml"
+NOISE = {"duration": 60.0}
+
+pytestmark = pytest.mark.usefixtures("domain")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_every_node_cleanly_and_the_bag_is_closed(graph, number):
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag))
+    graph.start("plant")
+    graph.start("ground_motion", record="white_noise", **NOISE)
+    graph.start("excitation", **NOISE)
+    graph.until_matched("logger", response=1, brace_command=1, ground_motion=1)
+    graph.until(lambda: int(graph.values("logger").get("messages of response", 0)) > 100, "recorded responses")
+    for name in ("excitation", "ground_motion", "plant", "logger"):
+        graph.may_end.add(name)
+        os.kill(graph.started[name].group, number)
+        assert graph.ended(name) == 0, graph.said(name)
+        assert "Traceback" not in "\n".join(graph.said(name))
+    assert (bag / "metadata.yaml").is_file()
+    assert len(read_run(bag).outputs) > 100
+
+
+def test_a_signal_ends_a_node_that_waits_for_its_life_cycle(graph):
+    graph.start("plant", autostart=False)
+    graph.until(lambda: "plant" in graph.statuses, "diagnostics")
+    assert graph.stop("plant") == 0
+
+
+def test_a_killed_logger_leaves_all_but_its_last_moments(graph):
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag), topics=["response"])
+    graph.start("plant")
+    graph.until(lambda: int(graph.values("logger").get("messages of response", 0)) > 500, "recorded responses")
+    killed = time.time_ns()
+    graph.kill("logger")
+    (recorded,) = read_topics(bag).values()
+    assert len(read_run(bag).outputs) > 500
+    assert killed - recorded.log_time[-1] < 0.5e9
+
+
+def test_a_latched_topic_that_was_published_before_is_recorded(graph):
+    bag = graph.folder / "bag"
+    heard = graph.listen(String, "robot_description", LATCHED_QOS)
+    graph.start("plant")
+    graph.until(lambda: heard, "the robot description")
+    graph.start("logger", output=str(bag), topics=["robot_description", "joint_states"])
+    graph.until(lambda: int(graph.values("logger").get("messages of robot_description", 0)) == 1, "its recording")
+    graph.until(lambda: int(graph.values("logger").get("messages of joint_states", 0)) > 1, "joint states")
+    assert graph.stop("logger") == 0
+    topics = read_topics(bag)
+    assert topics[f"{graph.namespace}/robot_description"].fields["data"][0] == heard[0].data
+    assert set(topics) == {f"{graph.namespace}/robot_description", f"{graph.namespace}/joint_states"}
+
+
+def run_node(package: str, executable: str, *arguments: object) -> subprocess.CompletedProcess:
+    command = [str(find_executable(package, executable)), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+def edited_rig(folder: Path, old: str, new: str) -> Path:
+    text = RIG.read_text()
+    assert old in text
+    path = folder / "rig.yaml"
+    path.write_text(text.replace(old, new, 1))
+    return path
+
+
+def expect_refusal(ended: subprocess.CompletedProcess, *expected: str) -> None:
+    assert ended.returncode == 2, ended.stderr
+    lines = ended.stderr.splitlines()
+    assert len(lines) == 1, ended.stderr
+    for text in expected:
+        assert text in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("node", "arguments", "expected"),
+    [
+        ("plant", ["-p", "duratio:=1.0"], ["parameter duratio: unknown", "duration"]),
+        ("plant", ["-p", "duration:=1"], ["parameter duration: 1", "decimal point"]),
+        ("plant", ["-p", "duration:=-1.0"], ["parameter duration: -1.0", "at least 0"]),
+        ("plant", ["-p", "duration:=.nan"], ["parameter duration: nan"]),
+        ("plant", ["-p", "wait_for:=[x]"], ["parameter wait_for", "brace_command, ground_motion"]),
+        ("plant", ["-p", "rig:=none"], ["rig 'none': unknown", "ncree_three_storey"]),
+        ("plant", ["-p", "rig:=none.yaml"], ["rig file none.yaml", "no such file"]),
+        ("ground_motion", ["-p", "record:=none"], ["none", "el_centro"]),
+        ("ground_motion", ["-p", "record:=./none.at2"], ["none.at2"]),
+        ("ground_motion", ["-p", "record:=white_noise"], ["parameter duration", "white noise"]),
+        (
+            "ground_motion",
+            ["-p", "record:=white_noise", "-p", "duration:=9.0", "-p", "band:=[5.0]"],
+            ["parameter band"],
+        ),
+        ("logger", [], ["parameter output", "not empty"]),
+        ("logger", ["-p", "output:=/proc/none/bag"], ["/proc/none"]),
+        ("logger", ["-p", "output:=b", "-p", "facts:=[no_equals]"], ["parameter facts", "key=value"]),
+    ],
+)
+def test_wrong_parameters_are_refused_in_one_line(tmp_path, monkeypatch, node, arguments, expected):
+    monkeypatch.chdir(tmp_path)
+    expect_refusal(run_node("abrace_plant", node, "--ros-args", *arguments), *expected)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_argument_that_is_no_parameter_is_refused():
+    expect_refusal(run_node("abrace_plant", "plant", "rig.yaml"), "argument 'rig.yaml'", "-p name:=value")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("storey_height: 3.0", "storey_hight: 3.0", "building.storey_hight"),
+        ("count: 2", "count: two", "braces.0.count"),
+        ("lag: 0.0008", "lag: .nan", "braces.0.actuator.lag"),
+        ("damping_ratios: [0.007993134, ", "damping_ratios: [", "building.damping_ratios: 2 numbers"),
+        ("11220.377, ", "-11220.377, ", "building.masses.0"),
+    ],
+)
+def test_a_wrong_rig_file_is_refused_in_one_line(tmp_path, old, new, expected):
+    path = edited_rig(tmp_path, old, new)
+    expect_refusal(run_node("abrace_plant", "plant", "--ros-args", "-p", f"rig:={path}"), str(path), expected)
+
+
+def test_a_malformed_record_is_refused_with_its_line(tmp_path):
+    path = tmp_path / "record.csv"
+    path.write_text("time [s],acceleration [g]\n0.0,0.0\n0.01,much\n")
+    ended = run_node("abrace_plant", "ground_motion", "--ros-args", "-p", f"record:={path}")
+    expect_refusal(ended, str(path), "3")
+
+
+def test_a_bag_that_exists_is_not_written_over(tmp_path):
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "precious").write_text("data")
+    ended = run_node("abrace_plant", "logger", "--ros-args", "-p", f"output:={tmp_path / 'bag'}")
+    expect_refusal(ended, "exists already")
+    assert [path.name for path in (tmp_path / "bag").iterdir()] == ["precious"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("states: 1", "states: 2", "a_d"),
+        ("c_d: [1.0]", "c_d: [.nan]", "c_d"),
+        ("measured: [a1]", "measured: []", "measured"),
+        ("sample_period: 0.002", "sample_period: -0.002", "sample_period"),
+    ],
+)
+def test_a_wrong_controller_file_is_refused_in_one_line(tmp_path, old, new, expected):
+    text = (
+        '/**:\n  ros__parameters:\n    name: "c"\n    model: "m"\n    weights: "w"\n    margins: "none"\n'
+        "    sample_period: 0.002\n    measured: [a1]\n    commands: [U]\n    states: 1\n    force_limit: [100.0]\n"
+        "    a_d: [0.5]\n    b_d: [1.0]\n    c_d: [1.0]\n    d_d: [0.0]\n"
+    )
+    assert old in text
+    path = tmp_path / "controller.yaml"
+    path.write_text(text.replace(old, new))
+    ended = run_node("abrace_lqg", "controller", "--ros-args", "--params-file", path)
+    expect_refusal(ended, expected)
+
+
+def test_the_command_names_what_there_is_to_run():
+    command = [str(find_executable("abrace_plant", "plant").parents[3] / "abrace_bringup/bin/abrace")]
+    for arguments, expected in ((["abrace_plant", "plan"], "plant"), (["abrace_plan", "plant"], "abrace_plant")):
+        ended = subprocess.run([*command, "run", *arguments], capture_output=True, text=True, timeout=30, check=False)
+        expect_refusal(ended, expected)
