@@ -56,6 +56,8 @@ TRANSITIONS = {
 }
 STREAM = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LEFT_BY_THE_KILLED: set[str] = set()
+"""Segments of shared memory."""
 
 
 class Graph:
@@ -143,14 +145,12 @@ class Graph:
         return process.returncode
 
     def kill(self, name: str) -> None:
-        """End a node with SIGKILL, and remove what it then leaves in shared memory."""
+        """End a node with SIGKILL; what it leaves in shared memory is removed when all is over."""
         process = self.started[name]
         maps = Path(f"/proc/{process.group}/maps").read_text()
         os.kill(process.group, signal.SIGKILL)
         assert self.ended(name) == -signal.SIGKILL
-        for segment in set(re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", maps)):
-            for file in (Path(segment), Path(segment + "_el")):
-                file.unlink(missing_ok=True)
+        LEFT_BY_THE_KILLED.update(re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", maps))
 
     def said(self, name: str) -> list[str]:
         """The lines that a node has printed."""
@@ -296,6 +296,9 @@ def context(domain: int) -> Iterator[rclpy.Context]:
     rclpy.signals.install_signal_handlers(SignalHandlerOptions.NO)
     yield context
     context.try_shutdown()
+    for segment in LEFT_BY_THE_KILLED:
+        for file in (Path(segment), Path(segment + "_el")):
+            file.unlink(missing_ok=True)
 
 
 @pytest.fixture(scope="session")

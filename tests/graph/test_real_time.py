@@ -73,9 +73,15 @@ def until_samples(graph: Any, count: int) -> None:
 
 
 def until_driven(graph: Any, force: float = 2000.0) -> None:
-    """Wait until the braces push, and we see who makes them."""
-    graph.until(lambda: graph.commands, "the first command")
-    graph.until(lambda: abs(graph.responses[-1].command[0]) > force, "the braces to push")
+    """Wait until the braces push by commands that we see, no longer the late ones of a node that has just joined."""
+    graph.until(
+        lambda: (
+            graph.commands
+            and abs(graph.responses[-1].command[0]) > force
+            and abs(graph.responses[-1].sequence - graph.commands[-1].sequence) < 5
+        ),
+        "the braces to push",
+    )
 
 
 def expect_smooth_end(command: np.ndarray) -> None:

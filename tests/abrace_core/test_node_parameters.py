@@ -1,0 +1,132 @@
+"""The parameter table of a node: what it declares, and how it refuses what does not fit."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Any
+
+import domain_coordinator
+import pytest
+import rclpy
+from rcl_interfaces.msg import ParameterType
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+
+from abrace_core.errors import AbraceError
+from abrace_core.node import Parameter, declare
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+TABLE = [
+    Parameter("rate", 500.0, "Hz", minimum=1.0, maximum=1e4),
+    Parameter("seed", 3, "of the noise", minimum=0),
+    Parameter("lockstep", False, "or by the clock"),
+    Parameter("rig", "ncree", "name", required=True),
+    Parameter("unit", "", "of the record", choices=("", "g", "m/s^2")),
+    Parameter("band", [0.0, 10.0], "Hz", minimum=0.0),
+    Parameter("inputs", ["table"], "answered", choices=("table", "braces"), required=True),
+    Parameter("matrix", [], "row by row", element=float),
+]
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[rclpy.Context]:
+    """A ROS domain of our own on this machine."""
+    with domain_coordinator.domain_id() as domain, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        context = rclpy.Context()
+        context.init(args=[], domain_id=domain)
+        yield context
+        context.try_shutdown()
+
+
+@pytest.fixture
+def node(context: rclpy.Context) -> Iterator[Callable[..., Node]]:
+    """Makes a node that was started with these parameters."""
+    made: list[Node] = []
+
+    def make(**given: Any) -> Node:
+        overrides = [RosParameter(name, value=value) for name, value in given.items()]
+        made.append(Node("rig", context=context, parameter_overrides=overrides))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.destroy_node()
+
+
+def test_defaults_hold_where_nothing_is_given(node):
+    values = vars(declare(node(), TABLE))
+    assert values == {parameter.name: parameter.default for parameter in TABLE}
+    assert {name: type(value) for name, value in values.items()} == {p.name: type(p.default) for p in TABLE}
+
+
+def test_given_values_take_their_place(node):
+    given = {"rate": 200.0, "seed": 0, "lockstep": True, "unit": "g", "band": [1.0, 2.0], "inputs": ["braces", "table"]}
+    values = vars(declare(node(**given, matrix=[1.5]), TABLE))
+    assert values == {**{p.name: p.default for p in TABLE}, **given, "matrix": [1.5]}
+    assert type(values["band"]) is list
+
+
+def test_the_node_shows_each_with_type_description_and_range(node):
+    rig = node(rate=200.0)
+    declare(rig, TABLE)
+    assert rig.get_parameter("rate").value == 200.0
+    shown = {parameter.name: rig.describe_parameter(parameter.name) for parameter in TABLE}
+    assert all(descriptor.read_only for descriptor in shown.values())
+    assert shown["rate"].description == "Hz"
+    (allowed,) = shown["rate"].floating_point_range
+    assert (allowed.from_value, allowed.to_value) == (1.0, 1e4)
+    assert shown["seed"].integer_range[0].from_value == 0
+    assert shown["unit"].additional_constraints == "a text out of , g, m/s^2"
+    types = [ParameterType.PARAMETER_DOUBLE_ARRAY, ParameterType.PARAMETER_STRING_ARRAY]
+    assert [shown[name].type for name in ("band", "inputs")] == types
+
+
+def test_a_running_node_changes_none(node):
+    rig = node()
+    declare(rig, TABLE)
+    (answer,) = rig.set_parameters([RosParameter("rate", value=100.0)])
+    assert not answer.successful
+    assert rig.get_parameter("rate").value == 500.0
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("rate", 200, "a number with a decimal point from 1.0 to 10000.0"),
+        ("rate", "200.0", "a number with a decimal point"),
+        ("rate", 0.5, "from 1.0 to 10000.0"),
+        ("rate", math.nan, "from 1.0 to 10000.0"),
+        ("rate", math.inf, "from 1.0 to 10000.0"),
+        ("seed", 1.0, "a whole number, at least 0"),
+        ("seed", -1, "at least 0"),
+        ("seed", True, "a whole number"),
+        ("lockstep", 1, "true or false"),
+        ("rig", "", "a text, not empty"),
+        ("rig", 5, "a text"),
+        ("unit", "ft", "out of , g, m/s^2"),
+        ("band", 10.0, "a list like [3.0], at least 0.0"),
+        ("band", [0, 10], "a list like [3.0]"),
+        ("band", [0.0, -1.0], "at least 0.0"),
+        ("band", [0.0, math.nan], "at least 0.0"),
+        ("inputs", ["table", "wind"], "out of table, braces"),
+        ("inputs", "table", "a list like [text]"),
+        ("matrix", [math.inf], "a list like [3.0]"),
+        ("matrix", [math.nan], "a list like [3.0]"),
+    ],
+)
+def test_a_value_that_does_not_fit_is_refused_with_what_was_expected(node, name, value, expected):
+    with pytest.raises(AbraceError, match=rf"^parameter {name}: .*expected .*{re.escape(expected)}"):
+        declare(node(**{name: value}), TABLE)
+
+
+def test_an_unknown_name_is_refused_with_those_that_there_are(node):
+    with pytest.raises(AbraceError, match="parameter rat: unknown, rig has band, inputs, lockstep, matrix, rate, "):
+        declare(node(rat=200.0), TABLE)
+
+
+def test_names_that_ros_itself_has_are_let_pass(node):
+    declare(node(use_sim_time=False), TABLE)

@@ -1,0 +1,36 @@
+"""Names: two rigs side by side in two namespaces, and topics called otherwise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from abrace_interfaces.msg import Response
+
+
+def test_two_rigs_in_two_namespaces_do_not_disturb_each_other(new_graph, new_commander):
+    with new_graph() as first, new_graph() as second:
+        hands = []
+        for seed, graph in enumerate((first, second)):
+            graph.start("plant", lockstep=True, lockstep_timeout=60.0, seed=seed)
+            hands.append(new_commander(graph))
+        for force in np.linspace(0, 5000, 100):
+            hands[0].answer([force])
+            hands[1].answer([-2 * force])
+        for hand, end in zip(hands, (5000.0, -10000.0), strict=True):
+            hand.hold(end, 2)
+            assert hand.commands[-1] == end
+            assert [response.sequence for response in hand.responses] == list(range(103))
+        press = first.emergency_stop()
+        press(True)
+        first.until_fault("plant", "emergency stop")
+        second.until_well("plant")
+        assert hands[0].responses[0].displacement != hands[1].responses[0].displacement, "noise of their own"
+
+
+def test_topics_can_be_remapped(graph):
+    graph.start("plant", "-r", "response:=measured", "-r", "brace_command:=wanted", command_timeout=0.5)
+    graph.start("excitation", "-r", "response:=measured", "-r", "brace_command:=wanted", duration=60.0)
+    measured = graph.listen(Response, "measured")
+    graph.until(lambda: measured and measured[-1].command[0], "a command in force")
+    assert graph.node.count_publishers("response") == 0
+    assert graph.node.count_publishers("brace_command") == 0
