@@ -1,7 +1,7 @@
 # abrace: see README.md. Everything below `setup` runs in the workspace's environment.
 SHELL := /bin/bash
 .ONESHELL:
-.SHELLFLAGS := -euo pipefail -c
+.SHELLFLAGS := -eo pipefail -c
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test lint verify bench clean
 
