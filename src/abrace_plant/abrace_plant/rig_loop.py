@@ -108,7 +108,7 @@ class RigLoop:
         self.sequence = -1
 
     def take_command(self, sequence: int, force: Sequence[float]) -> None:
-        """A BraceCommand has come."""
+        """A BraceCommand has come: `force` (groups,) [N] answers sample `sequence`."""
         self._command.take(sequence, force, self.sequence)
 
     def take_ground_acceleration(self, sequence: int, acceleration: float) -> None:
@@ -116,11 +116,11 @@ class RigLoop:
         self._ground.take(sequence, [acceleration], self.sequence)
 
     def answered(self, name: str) -> bool:
-        """Whether the last sample has been answered on `brace_command` or `ground_motion`."""
+        """Whether the last sample has been answered on the topic `name`: `brace_command` or `ground_motion`."""
         return (self._command if name == COMMAND else self._ground).answered == self.sequence
 
     def fault(self, reason: str) -> None:
-        """Force and ground motion to zero, latched."""
+        """Force and ground motion to zero, latched with its `reason`."""
         self._command.guard.fault(reason)
         self._ground.guard.fault(reason)
 

@@ -34,7 +34,7 @@ class Schedule:
         """Seconds that were not made up for: the stamps are so much behind the clock."""
 
     def stamp(self, sequence: int) -> int:
-        """Instant of a sample [ns]."""
+        """Instant of sample `sequence` [ns]."""
         return self._start + round(sequence * self._period)
 
     def sequence(self, stamp: int) -> int:
@@ -56,5 +56,5 @@ class Schedule:
         return now
 
     def is_last(self, sequence: int) -> bool:
-        """Whether the run ends with this sample."""
+        """Whether the run ends with sample `sequence`."""
         return sequence == self._last
