@@ -148,7 +148,7 @@ class Plant(AbraceLifecycleNode):
     def end(self, now: float) -> None:
         """The run is over: the last sample has been taken, in lockstep also answered."""
         self.due = None
-        self.finish(0, f"done: {self.loop.sequence + 1} samples in {now - self.began:.1f} s")
+        self.finish(0, f"done: {self.loop.sequence + 1} samples in {now - self.began:.2f} s")
 
     def on_command(self, payload: bytes) -> None:
         """A command answers a sample."""
