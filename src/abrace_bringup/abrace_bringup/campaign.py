@@ -137,7 +137,7 @@ class Runner:
         for topic, node in inputs.items():
             expected[node] = {"publishers of response": 1, f"subscribers of {topic}": 2}
         samples = round(duration * rate)
-        with ProcessGroup() as group, Onlooker(f"/{self.campaign.name}") as onlooker:
+        with ProcessGroup() as group, Onlooker(f"/{self.campaign.name}", ("plant",)) as onlooker:
             self.start(group, name, "abrace_plant", "logger", logger)
             self.start(group, name, "abrace_plant", "plant", plant)
             for package, executable, parameters in nodes:

@@ -32,10 +32,13 @@ class Onlooker:
     ----------
     namespace
         Of the nodes, as `/demo`.
+    driven
+        Names of the life cycle nodes whose state it will change.
     """
 
-    def __init__(self, namespace: str) -> None:
+    def __init__(self, namespace: str, driven: tuple[str, ...]) -> None:
         self._namespace = namespace
+        self._driven = driven
         self.values: dict[str, dict[str, str]] = {}
         """What each node's last diagnostics said, by node name."""
         self.faults: dict[str, str] = {}
@@ -49,6 +52,10 @@ class Onlooker:
         self._executor = rclpy.executors.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 50)
+        # made before the nodes start: a server drops its answers to a client that it has not discovered yet
+        self._state_clients = {
+            name: self._node.create_client(ChangeState, f"{name}/change_state") for name in self._driven
+        }
         return self
 
     def __exit__(
@@ -118,7 +125,7 @@ class Onlooker:
         AbraceError
             If it refuses or does not answer in time.
         """
-        client = self._node.create_client(ChangeState, f"{node}/change_state")
+        client = self._state_clients[node]
         deadline = time.monotonic() + timeout
         while not client.service_is_ready():
             self.look()

@@ -113,8 +113,9 @@ class NodeProcess:
         return self._popen.returncode
 
     def reap(self) -> None:
-        """Take the exit code of an ended process for good."""
-        self._popen.poll()
+        """Take the exit code of an ended process for good; its last threads may still be on their way out."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._popen.wait(timeout=1.0)
 
     def last_lines(self, count: int = 10) -> list[str]:
         """The last lines of its output."""
