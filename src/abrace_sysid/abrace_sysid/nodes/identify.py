@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from pathlib import Path
 
@@ -47,6 +48,9 @@ class Identify(AbraceNode):
 
         progress("reading the bags", 0.0)
         table, command = read_run(given.table), read_run(given.command)
+        for recorded in (table, command):
+            for warning in recorded.facts.get("warnings", []):
+                print(warning, file=sys.stderr, flush=True)
         options = IdentificationOptions(
             method=given.method,
             command_order=given.command_order,

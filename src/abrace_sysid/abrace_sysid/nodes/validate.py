@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,9 @@ class Validate(AbraceNode):
         print("reading the bags", flush=True)
         test, model = read_run(given.bag), load_model(given.model)
         uncontrolled = read_run(given.uncontrolled) if given.uncontrolled else None
+        for recorded in [test] + ([uncontrolled] if uncontrolled else []):
+            for warning in recorded.facts.get("warnings", []):
+                print(warning, file=sys.stderr, flush=True)
         law, limit = None, np.full(test.groups, np.inf)
         if given.controller:
             controller = load_controller(given.controller)
