@@ -7,6 +7,7 @@ from scipy import signal
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import discretize, simulate, simulate_closed_loop
+from abrace_lqg.margins import closed_loop
 
 OMEGA, ZETA, PERIOD = 7.3, 0.02, 0.05
 
@@ -170,3 +171,186 @@ def test_closed_loop_of_parts_that_do_not_fit_is_refused():
         with pytest.raises(AbraceError, match=r"the controller gives .*, the model takes U every 0.05 s"):
             simulate_closed_loop(plant, wrong, np.zeros(5), np.array([1.0]))
     assert controller.outputs == ("U",)
+
+
+def named(count: int, letter: str) -> tuple[str, ...]:
+    return tuple(f"{letter}{i + 1}" for i in range(count))
+
+
+def random_model(states: int, inputs: int, outputs: int, radius: float, seed: int) -> LinearModel:
+    """Random modes on a circle in the z plane, in random coordinates of very unequal units."""
+    rng = np.random.default_rng(seed)
+    modes = np.zeros((states, states))
+    for i in range(0, states - 1, 2):
+        turn = rng.uniform(0, np.pi)
+        modes[i : i + 2, i : i + 2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    if states % 2:
+        modes[-1, -1] = rng.choice([-1.0, 1.0])
+    mix, _ = np.linalg.qr(rng.standard_normal((states, states)))
+    units = 10.0 ** rng.integers(-5, 6, states)
+    a = radius * (mix @ modes @ mix.T) * units / units[:, None]
+    b, c = rng.standard_normal((states, inputs)) / units[:, None], rng.standard_normal((outputs, states)) * units
+    d = rng.standard_normal((outputs, inputs))
+    return LinearModel(a, b, c, d, named(inputs, "u"), named(outputs, "y"), sample_period=PERIOD)
+
+
+def stepped(model: LinearModel, inputs: np.ndarray, initial: np.ndarray | None = None) -> np.ndarray:
+    """The recursion as it is written."""
+    state = np.zeros(model.order) if initial is None else initial
+    outputs = np.zeros((len(inputs), len(model.outputs)))
+    for k, u in enumerate(inputs):
+        outputs[k] = model.c @ state + model.d @ u
+        state = model.a @ state + model.b @ u
+    return outputs
+
+
+def stepped_closed_loop(plant, controller, ground, capacity) -> tuple[np.ndarray, np.ndarray]:
+    """The graph's timing, step by step: a sample, its command cut, in force from the next sample on."""
+    measured = [plant.outputs.index(name) for name in controller.inputs]
+    x, q, command = np.zeros(plant.order), np.zeros(controller.order), np.zeros(len(capacity))
+    outputs, commands, before = [], [], np.zeros(len(capacity))
+    for w in ground:
+        drive = np.concatenate([[w], command])
+        outputs.append(plant.c @ x + plant.d @ drive)
+        commands.append(before)
+        y = outputs[-1][measured]
+        before, command = command, np.clip(controller.c @ q + controller.d @ y, -capacity, capacity)
+        x, q = plant.a @ x + plant.b @ drive, controller.a @ q + controller.b @ y
+    return np.array(outputs), np.array(commands)
+
+
+def assert_equal_to_rounding(found: np.ndarray, expected: np.ndarray) -> None:
+    """Every channel within 1e-12 of its peak."""
+    assert found.shape == expected.shape
+    peaks = np.abs(expected).max(axis=0, initial=0.0)
+    worst = np.abs(found - expected).max(axis=0, initial=0.0)
+    assert (worst <= 1e-12 * peaks).all(), worst / peaks
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    states=st.integers(0, 9),
+    inputs=st.integers(0, 3),
+    outputs=st.integers(0, 4),
+    samples=st.integers(0, 700),
+    radius=st.sampled_from([0.0, 0.5, 0.99, 1.0, 1.02]),
+    seed=st.integers(0, 10**6),
+)
+def test_blocks_give_what_the_recursion_gives(states, inputs, outputs, samples, radius, seed):
+    model = random_model(states, inputs, outputs, radius, seed)
+    rng = np.random.default_rng(seed + 1)
+    driving, initial = rng.standard_normal((samples, inputs)), model.b @ rng.standard_normal(inputs)
+    assert_equal_to_rounding(simulate(model, driving, initial), stepped(model, driving, initial))
+    assert_equal_to_rounding(simulate(model, driving), stepped(model, driving))
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_a_long_record_and_any_layout_of_it_give_what_the_recursion_gives(order):
+    model = random_model(12, 2, 5, 0.9999, 3)
+    driving = np.asarray(np.random.default_rng(4).standard_normal((20_011, 2)), order=order)
+    assert_equal_to_rounding(simulate(model, driving), stepped(model, driving))
+
+
+def test_a_chain_of_delays_passes_its_input_on_exactly():
+    chain = LinearModel(
+        np.eye(40, k=-1), np.eye(40, 1), np.eye(1, 40, 39), [[0.0]], ("u",), ("y",), sample_period=PERIOD
+    )
+    driving = np.random.default_rng(5).standard_normal((300, 1))
+    np.testing.assert_array_equal(simulate(chain, driving), np.vstack([np.zeros((40, 1)), driving[:-40]]))
+
+
+def test_motion_that_nothing_excites_does_not_overflow():
+    # 3^20000 is beyond all numbers, 0 * 3^20000 is 0; the second mode is stable and driven
+    model = LinearModel(
+        np.diag([3.0, 0.9]), [[0.0], [1.0]], [[1.0, 1.0]], [[0.0]], ("u",), ("y",), sample_period=PERIOD
+    )
+    driving = np.random.default_rng(6).standard_normal((20_000, 1))
+    assert_equal_to_rounding(simulate(model, driving), stepped(model, driving))
+
+
+def test_growth_reaches_as_far_as_numbers_do():
+    model = LinearModel([[1.5]], [[1.0]], [[1.0]], [[0.0]], ("u",), ("y",), sample_period=PERIOD)
+    driving = np.zeros((1740, 1))
+    driving[0] = 1.0
+    np.testing.assert_allclose(simulate(model, driving)[1:, 0], 1.5 ** np.arange(1739.0), rtol=1e-12)
+    steep = LinearModel([[1e120]], [[1.0]], [[1.0]], [[0.0]], ("u",), ("y",), sample_period=PERIOD)
+    late = np.array([0.0] * 30 + [1.0, 0.0, 0.0])[:, None]
+    np.testing.assert_allclose(simulate(steep, late)[-3:, 0], [0.0, 1.0, 1e120], rtol=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    states=st.integers(0, 6),
+    commands=st.integers(0, 2),
+    controller_states=st.integers(0, 4),
+    samples=st.integers(0, 300),
+    radius=st.sampled_from([0.3, 0.9, 1.0]),
+    capacity=st.sampled_from([0.01, 0.1, 1e9]),
+    seed=st.integers(0, 10**6),
+)
+def test_closed_loop_is_the_loop_as_it_is_stepped(states, commands, controller_states, samples, radius, capacity, seed):
+    plant = random_model(states, 1 + commands, 3, radius, seed)
+    law = random_model(controller_states, 2, commands, 0.6, seed + 1)
+    # a weak controller: the loop may be cut as often as it likes and does not run away
+    law = LinearModel(law.a, law.b, 1e-3 * law.c, 1e-3 * law.d, ("y3", "y1"), plant.inputs[1:], sample_period=PERIOD)
+    ground, limit = np.random.default_rng(seed).standard_normal(samples), np.full(commands, capacity)
+    found, expected = (run(plant, law, ground, limit) for run in (simulate_closed_loop, stepped_closed_loop))
+    for one, other in zip(found, expected, strict=True):
+        assert_equal_to_rounding(one, other.reshape(one.shape))
+
+
+def test_closed_loop_holds_a_plant_that_falls_over_fast():
+    # plant and controller alone grow threefold a sample, 4e7-fold in 16; the loop's three poles are at zero:
+    # what the loop cancels must not be lost in rounding
+    plant = LinearModel([[3.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]], ("w", "U"), ("y",), sample_period=PERIOD)
+    law = LinearModel([[-3.0]], [[1.0]], [[27.0]], [[-9.0]], ("y",), ("U",), sample_period=PERIOD)
+    assert np.abs(np.linalg.eigvals(closed_loop(plant, law).a)).max() < 0.1, "the test's own loop has to be stable"
+    ground = np.random.default_rng(8).standard_normal(400)
+    found, commands = simulate_closed_loop(plant, law, ground, np.array([1e9]))
+    expected, expected_commands = stepped_closed_loop(plant, law, ground, np.array([1e9]))
+    assert_equal_to_rounding(found, expected)
+    assert_equal_to_rounding(commands, expected_commands)
+
+
+def test_closed_loop_goes_on_when_the_controller_alone_runs_away():
+    # the controller's state grows to 1e23 times the capacity while the command stays cut and the plant stays exact
+    plant = LinearModel([[0.9]], [[1.0, 0.01]], [[1.0]], [[0.0, 0.0]], ("w", "U"), ("y",), sample_period=PERIOD)
+    law = LinearModel([[1.2]], [[1.0]], [[1.0]], [[0.0]], ("y",), ("U",), sample_period=PERIOD)
+    ground = np.random.default_rng(10).standard_normal(300)
+    found, commands = simulate_closed_loop(plant, law, ground, np.array([1.0]))
+    expected, expected_commands = stepped_closed_loop(plant, law, ground, np.array([1.0]))
+    assert_equal_to_rounding(found, expected)
+    np.testing.assert_array_equal(commands[20:], expected_commands[20:])
+
+
+def test_closed_loop_without_saturation_is_the_linear_loop():
+    plant, controller = plant_and_controller()
+    ground = np.random.default_rng(9).standard_normal(5000)
+    outputs, commands = simulate_closed_loop(plant, controller, ground, np.array([1e9]))
+    whole = simulate(closed_loop(plant, controller), ground[:, None])
+    assert_equal_to_rounding(outputs, whole[:, :2])
+    assert_equal_to_rounding(commands[1:], whole[:-1, 2:])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda p, _: simulate(p, np.array([[0.0, 0.0], [np.nan, 0.0]])), "inputs: not finite at sample 1"),
+        (lambda p, _: simulate(p, np.zeros((5, 2)), np.zeros(3)), r"initial state of shape \(3,\), expected \(2,\)"),
+        (lambda p, c: simulate_closed_loop(p, c, np.array([0.0, np.inf]), np.ones(1)), "not finite at sample 1"),
+        (lambda p, c: simulate_closed_loop(p, c, np.zeros(5), np.ones(2)), r"capacities of shape \(2,\), expected"),
+        (lambda p, c: simulate_closed_loop(p, c, np.zeros((5, 1)), np.ones(1)), r"shape \(5, 1\)"),
+        (
+            lambda p, c: simulate_closed_loop(p.select(["x"]), c, np.zeros(5), np.ones(1)),
+            "measures y, the model gives x",
+        ),
+        (lambda p, c: simulate_closed_loop(continuous(p), continuous(c), np.zeros(5), np.ones(1)), "discrete models"),
+    ],
+)
+def test_what_does_not_fit_is_refused(call, message):
+    with pytest.raises(AbraceError, match=message):
+        call(*plant_and_controller())
+
+
+def continuous(model: LinearModel) -> LinearModel:
+    return LinearModel(model.a, model.b, model.c, model.d, model.inputs, model.outputs)

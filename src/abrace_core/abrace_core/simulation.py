@@ -1,127 +1,86 @@
-"""Exact stepping of linear models at a sample period: holds, delays, closed loops, saturation.
+"""Discrete models run over whole records: free, or with a controller whose commands saturate.
 
-The command is held between samples (zero-order hold); the ground acceleration is taken to be linear between samples
-(first-order hold), which needs no half-sample shift when a recorded motion is compared with its response.
+Samples are taken in blocks. All samples of a block follow from its first state and its inputs by one matrix,
+
+    y(k+i) = C A^i x(k) + sum over j < i of C A^(i-1-j) B u(k+j) + D u(k+i),
+
+so that all blocks are one matrix product once the states at their starts are known. Those obey a recursion of the same
+form with A^length in place of A, one step a block. A free run solves it by cyclic reduction: pairs of blocks make a
+recursion of half the length, and so on. A saturating run goes block by block in a compiled loop, where the one command
+after the other is cut before it acts. Both are the plain recursion in another order of summation, exact to rounding.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import linalg
 
+from abrace_core.compiled import compiled
+from abrace_core.discretization import Hold, discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
-Hold = Literal["zero", "first"]
+__all__ = ["Hold", "discretize", "simulate", "simulate_closed_loop"]
 
+BLOCK = 16
+"""Samples a block. Longer ones mean fewer steps and larger matrices; 16 and 32 take the least time at 25 states."""
 
-def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hold] | None = None) -> LinearModel:
-    """The exact discrete equivalent of a continuous model, input delays included.
+FEW = 4
+"""Steps that are sooner taken one by one than halved."""
 
-    Parameters
-    ----------
-    model
-        Continuous model; delays need not be multiples of the sample period.
-    sample_period
-        Seconds.
-    holds
-        How each input moves between samples: "zero" (held, the default) or "first" (linear).
+LARGEST = 1e100
+"""Entry of a matrix power from which on it is not squared: it would overflow where the result itself need not."""
 
-    Returns
-    -------
-    LinearModel
-        Discrete model; a delayed input adds one state for each sample that its delay reaches back. It is driven by
-        each input's value at sample k, held (or linear) from sample k to k+1.
-    """
-    if model.sample_period:
-        raise AbraceError("discretize: a continuous model was expected")
-    n, m, period = model.order, len(model.inputs), float(sample_period)
-    holds = {name: (holds or {}).get(name, "zero") for name in model.inputs}
-
-    def held(span: float, column: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray]:
-        """exp(A span) and the responses at `span` to a unit step and to a unit ramp (of slope 1/span) in one input."""
-        block = np.zeros((n + 2, n + 2))
-        block[:n, :n] = model.a * span
-        block[:n, n] = column * span
-        block[n, n + 1] = 1.0
-        block = linalg.expm(block)
-        return block[:n, :n], block[:n, n], block[:n, n + 1]
-
-    transition = linalg.expm(model.a * period)
-    a, b = transition, np.zeros((n, m))
-    c, d = model.c, model.d.copy()
-    blocks: list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]] = []
-    for j, name in enumerate(model.inputs):
-        delay = model.input_delay[j]
-        if holds[name] == "first":
-            if delay:
-                raise AbraceError(f"discretize: input {name} has a delay, which a first-order hold cannot take")
-            _, step, ramp = held(period, model.b[:, j])
-            # x(k+1) = A x(k) + (step - ramp) u(k) + ramp u(k+1), with the state x(k) - ramp u(k)
-            b[:, j] = step - ramp + transition @ ramp
-            d[:, j] += model.c @ ramp
-            continue
-        whole, late = divmod(delay / period, 1.0)
-        if late > 1 - 1e-9:
-            whole, late = whole + 1, 0.0
-        samples = int(whole)
-        rest_transition, recent, _ = held((1 - late) * period, model.b[:, j])
-        early = np.zeros(n) if late < 1e-9 else rest_transition @ held(late * period, model.b[:, j])[1]
-        memory = samples + (1 if late >= 1e-9 else 0)
-        if memory == 0:
-            b[:, j] = recent
-            continue
-        # memory states hold u(k-1), u(k-2), ...; `recent` acts with u(k - samples), `early` with the one before
-        into_state, into_output = np.zeros((n, memory)), np.zeros((len(c), memory))
-        if samples:
-            into_state[:, samples - 1] += recent
-        else:
-            b[:, j] = recent
-        if late >= 1e-9:
-            into_state[:, samples] += early
-        # at the instant of sample k the delayed input is the one of `memory` samples before
-        into_output[:, memory - 1] = model.d[:, j]
-        d[:, j] = 0.0
-        first = np.zeros((memory, m))
-        first[0, j] = 1.0
-        blocks.append((into_state, into_output, first))
-    for into_state, into_output, first in blocks:
-        memory = len(first)
-        states = len(a)
-        grown = np.zeros((states + memory, states + memory))
-        grown[:states, :states] = a
-        grown[:n, states:] = into_state
-        grown[states + 1 :, states:-1] = np.eye(memory - 1)
-        a, b, c = grown, np.vstack([b, first]), np.hstack([c, into_output])
-    return LinearModel(a, b, c, d, model.inputs, model.outputs, period, provenance=model.provenance)
+LARGEST_GROWTH = 100.0
+"""What the fastest growing motion may grow by within a block of a closed loop, which cancels there what the controller
+holds down: the digits that may be lost are those of this factor."""
 
 
 def simulate(
     model: LinearModel, inputs: NDArray[np.float64], initial: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Outputs (samples, outputs) of a discrete `model` driven by `inputs` (samples, inputs).
+    """Outputs of a discrete model driven by given inputs.
 
-    It starts from rest, or from the state `initial` (states,).
+    Parameters
+    ----------
+    model
+        Discrete model, stable or not.
+    inputs
+        (samples, inputs), finite.
+    initial
+        (states,) at the first sample; None: from rest.
+
+    Returns
+    -------
+    NDArray
+        (samples, outputs).
+
+    Raises
+    ------
+    AbraceError
+        If the model is continuous, or inputs or initial state do not fit it.
     """
     if not model.sample_period:
         raise AbraceError("simulate: a discrete model was expected")
+    inputs = np.asarray(inputs, dtype=np.float64)
     if inputs.ndim != 2 or inputs.shape[1] != len(model.inputs):
         raise AbraceError(f"simulate: inputs of shape {inputs.shape}, expected (samples, {len(model.inputs)})")
-    forcing = inputs @ model.b.T
-    states = np.empty((len(inputs), model.order))
     state = np.zeros(model.order) if initial is None else np.asarray(initial, dtype=np.float64)
-    a = model.a
-    for k, force in enumerate(forcing):
-        states[k] = state
-        state = a @ state + force
-    return states @ model.c.T + inputs @ model.d.T
+    if state.shape != (model.order,):
+        raise AbraceError(f"simulate: initial state of shape {state.shape}, expected ({model.order},)")
+    _check_finite("simulate: inputs", inputs)
+    if not model.order:
+        return np.asarray(inputs @ model.d.T)
+    maps = _BlockMaps.of(model, min(BLOCK, len(inputs)))
+    blocks = maps.blocks(inputs)
+    driven = blocks[:, model.order :] @ maps.state_from_inputs.T
+    blocks[:, : model.order] = _starts(maps.state_from_state, driven, state)
+    return maps.samples(blocks @ maps.outputs.T, len(inputs))
 
 
 def simulate_closed_loop(
@@ -130,7 +89,7 @@ def simulate_closed_loop(
     ground_acceleration: NDArray[np.float64],
     capacity: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Run a controller (Eq. 13) on a discrete model, with the rig's timing and saturation.
+    """Run a controller (Eq. 13) on a discrete model from rest, with the rig's timing and saturation.
 
     The command computed from sample k acts from sample k+1 on, as in the graph.
 
@@ -141,7 +100,7 @@ def simulate_closed_loop(
     controller
         Discrete model from some of the outputs to the commands, at the same sample period.
     ground_acceleration
-        (samples,) [m/s^2].
+        (samples,) [m/s^2], finite.
     capacity
         (commands,) [N]; commands are cut to +-capacity.
 
@@ -149,29 +108,174 @@ def simulate_closed_loop(
     -------
     outputs, commands
         (samples, outputs), and (samples, commands): the command in force until each sample, as in a Response.
+
+    Raises
+    ------
+    AbraceError
+        If model, controller, motion and capacity do not fit each other.
     """
     if model.inputs[1:] != controller.outputs or abs(model.sample_period - controller.sample_period) > 1e-12:
         raise AbraceError(
             f"closed loop: the controller gives {', '.join(controller.outputs)} every {controller.sample_period} s, "
             f"the model takes {', '.join(model.inputs[1:])} every {model.sample_period} s"
         )
-    measured = [model.outputs.index(name) for name in controller.inputs]
-    samples, commands = len(ground_acceleration), len(capacity)
-    c_measured, d_measured = model.c[measured], model.d[measured]
+    if not model.sample_period:
+        raise AbraceError("closed loop: discrete models were expected")
+    ground_acceleration = np.asarray(ground_acceleration, dtype=np.float64)
+    capacity = np.ascontiguousarray(capacity, dtype=np.float64)
+    samples, commands = len(ground_acceleration), len(controller.outputs)
+    if ground_acceleration.ndim != 1 or capacity.shape != (commands,):
+        raise AbraceError(
+            f"closed loop: ground acceleration of shape {ground_acceleration.shape} and capacities of shape "
+            f"{capacity.shape}, expected (samples,) and ({commands},)"
+        )
+    _check_finite("closed loop: ground acceleration", ground_acceleration)
+    series = _in_series(model, controller)
+    maps = _BlockMaps.of(series, min(_steady_length(series), samples))
     inputs = np.zeros((samples, 1 + commands))
     inputs[:, 0] = ground_acceleration
-    states = np.empty((samples, model.order))
-    state, q = np.zeros(model.order), np.zeros(controller.order)
+    blocks = maps.blocks(inputs)
+    # of a block's results the loop needs the next block's state and the commands
+    states, wanted = series.order, maps.output_rows(slice(len(model.outputs), None))
+    by_input = np.ascontiguousarray(np.vstack([maps.state_from_inputs, wanted[:, states:]]).T)
+    by_state = np.ascontiguousarray(np.vstack([maps.state_from_state, wanted[:, :states]]).T)
+    _cut_commands(blocks, blocks[:, states:] @ by_input, by_state, by_input, capacity)
+    outputs = maps.samples(blocks @ maps.output_rows(slice(len(model.outputs))).T, samples)
+    in_force = maps.samples(blocks[:, states:], samples)[:, 1:]
+    return outputs, np.vstack([np.zeros((1, commands)), in_force[:-1]])[:samples]
+
+
+@dataclass(frozen=True)
+class _BlockMaps:
+    """What a block of samples makes of the state at its start and of its inputs, sample after sample.
+
+    `state_from_state` (states, states) and `state_from_inputs` (states, length * inputs) give the state at the next
+    block's start; `outputs` (length * outputs, states + length * inputs) the block's outputs from both.
+    """
+
+    length: int
+    state_from_state: NDArray[np.float64]
+    state_from_inputs: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, model: LinearModel, longest: int) -> _BlockMaps:
+        """Of a discrete model: a power of two of samples, up to `longest` unless a power of A is too large before."""
+        power, from_inputs, from_state, length = model.a, model.b, model.c, 1
+        while 2 * length <= longest and np.abs(power).max(initial=0.0) < LARGEST:
+            from_state = np.vstack([from_state, from_state @ power])
+            from_inputs = np.hstack([power @ from_inputs, from_inputs])
+            power = power @ power
+            length *= 2
+        rows, columns = model.d.shape
+        markov = np.concatenate([model.d[None], (from_state @ model.b).reshape(length, rows, columns)[:-1]])
+        toeplitz = np.zeros((length, rows, length, columns))
+        for i in range(length):
+            toeplitz[i:, :, i] = markov[: length - i]
+        outputs = np.hstack([from_state, toeplitz.reshape(length * rows, length * columns)])
+        return cls(length, power, from_inputs, outputs)
+
+    def blocks(self, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(blocks, states + length * inputs): room for the states at the starts, and the inputs, zero past the end."""
+        states, (count, channels) = len(self.state_from_state), inputs.shape
+        full, columns = count // self.length, self.length * channels
+        blocks = np.zeros((-(-count // self.length), states + columns))
+        blocks[:full, states:] = inputs[: full * self.length].reshape(full, columns)
+        rest = inputs[full * self.length :].ravel()
+        blocks[full:, states : states + len(rest)] = rest
+        return blocks
+
+    def output_rows(self, chosen: slice) -> NDArray[np.float64]:
+        """The rows of `outputs` that belong to some of the model's outputs."""
+        rows, columns = self.outputs.shape
+        by_sample = self.outputs.reshape(self.length, rows // self.length, columns)[:, chosen]
+        return by_sample.reshape(self.length * by_sample.shape[1], columns)
+
+    def samples(self, blocks: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+        """(count, channels) from (blocks, length * channels)."""
+        return blocks.reshape(len(blocks) * self.length, blocks.shape[1] // self.length)[:count]
+
+
+def _starts(
+    transition: NDArray[np.float64], driven: NDArray[np.float64], initial: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """x(0), x(1), ... (steps, states) of x(i+1) = transition x(i) + driven(i), by cyclic reduction."""
+    starts = np.empty_like(driven)
+    steps = len(driven)
+    if steps <= FEW or not np.abs(transition).max() < LARGEST:
+        starts[:1] = initial
+        for i in range(1, steps):
+            starts[i] = transition @ starts[i - 1] + driven[i - 1]
+        return starts
+    even, odd = driven[0 : steps - 1 : 2], driven[1::2]
+    pairs = np.zeros((-(-steps // 2), len(transition)))
+    pairs[: len(odd)] = even @ transition.T + odd
+    starts[::2] = _starts(transition @ transition, pairs, initial)
+    starts[1::2] = starts[0 : steps - 1 : 2] @ transition.T + even
+    return starts
+
+
+def _in_series(model: LinearModel, controller: LinearModel) -> LinearModel:
+    """From ground acceleration and commands in force to the model's outputs and the commands that answer them."""
+    unseen = [name for name in controller.inputs if name not in model.outputs]
+    if unseen:
+        raise AbraceError(
+            f"closed loop: the controller measures {', '.join(unseen)}, the model gives {', '.join(model.outputs)}"
+        )
+    measured = np.array([model.outputs.index(name) for name in controller.inputs], dtype=np.intp)
+    c, d = model.c[measured], model.d[measured]
+    return LinearModel(
+        np.block([[model.a, np.zeros((model.order, controller.order))], [controller.b @ c, controller.a]]),
+        np.vstack([model.b, controller.b @ d]),
+        np.block([[model.c, np.zeros((len(model.outputs), controller.order))], [controller.d @ c, controller.c]]),
+        np.vstack([model.d, controller.d @ d]),
+        model.inputs,
+        (*model.outputs, *(f"next {name}" for name in controller.outputs)),
+        model.sample_period,
+    )
+
+
+def _steady_length(series: LinearModel) -> int:
+    """Samples a block in which no motion of model or controller alone grows by more than LARGEST_GROWTH."""
+    growth = np.abs(np.linalg.eigvals(series.a)).max(initial=0.0)
+    length = BLOCK
+    while length > 1 and growth**length > LARGEST_GROWTH:
+        length //= 2
+    return length
+
+
+@compiled
+def _cut_commands(
+    blocks: NDArray[np.float64],
+    driven: NDArray[np.float64],
+    by_state: NDArray[np.float64],
+    by_input: NDArray[np.float64],
+    capacity: NDArray[np.float64],
+) -> None:
+    """Fill in the states at the blocks' starts and the commands in force, each cut to its capacity.
+
+    `driven` (blocks, states + length * commands), which is used up, holds what the ground acceleration makes of the
+    next block's state and of the block's commands; `by_state` and `by_input` add the share of each state and input.
+    """
+    states, commands = len(by_state), len(capacity)
     command = np.zeros(commands)
-    for k in range(samples):
-        states[k] = state
-        drive = inputs[k]
-        drive[1:] = command
-        y = c_measured @ state + d_measured @ drive
-        # Eq. (13): U(n) from q(n) and y(n), then q(n+1)
-        command = np.clip(controller.c @ q + controller.d @ y, -capacity, capacity)
-        q = controller.a @ q + controller.b @ y
-        state = model.a @ state + model.b @ drive
-    outputs = states @ model.c.T + inputs @ model.d.T
-    in_force_until = np.vstack([np.zeros((1, commands)), inputs[:-1, 1:]])
-    return outputs, in_force_until
+    for block in range(len(blocks)):
+        row, result = blocks[block], driven[block]
+        result += np.dot(row[:states], by_state)
+        for first in range(0, len(by_input), 1 + commands):
+            for j in range(commands):
+                row[states + first + 1 + j] = command[j]
+                for i in range(len(result)):  # an array expression would take twice the time
+                    result[i] += by_input[first + 1 + j, i] * command[j]
+            answers = states + first // (1 + commands) * commands
+            for j in range(commands):
+                command[j] = min(max(result[answers + j], -capacity[j]), capacity[j])
+        if block + 1 < len(blocks):
+            blocks[block + 1, :states] = result[:states]
+
+
+def _check_finite(what: str, values: NDArray[np.float64]) -> None:
+    """One value that is not a number would spread over the whole block that it is in."""
+    if not np.isfinite(values).all():
+        sample = int(np.argwhere(~np.isfinite(values))[0, 0])
+        raise AbraceError(f"{what}: not finite at sample {sample}, expected finite values")

@@ -1,0 +1,160 @@
+"""Speed of a closed loop simulated offline, beside its peers in one run: 50 000 samples of the paper's rig under LQG3.
+
+linear     `simulate` on the loop as one linear model
+saturated  `simulate_closed_loop`, the commands cut at the rig's capacity
+
+Peers, on the linear loop: scipy.signal.dlsim, python-control's forced_response, and one matrix-vector product of BLAS a
+step with nothing else, the floor for whatever steps through a loop in Python. All run on one thread, in turns of a
+tenth of a second or one run, and the best run counts.
+
+python benchmarks/simulation.py
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
+SOURCE = Path(__file__).resolve().parents[1] / "src"
+SAMPLES = 50_000
+TURNS, TURN = 7, 0.1
+LINEAR, SATURATED = 0.05 * 9.80665, 0.4 * 9.80665
+"""Peak accelerations of the table [m/s^2] without a cut command, and with more than one in a hundred cut."""
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from abrace_core.linear_model import LinearModel
+
+
+def simulation_speed() -> dict[str, Any]:
+    """`measure` in a process of its own, whose BLAS has one thread from the start."""
+    script = Path(__file__).resolve()
+    ran = subprocess.run([sys.executable, str(script)], env=os.environ | ONE_THREAD, check=True, stdout=subprocess.PIPE)
+    found: dict[str, Any] = json.loads(ran.stdout)
+    return found
+
+
+def rig_and_law() -> tuple[LinearModel, LinearModel, NDArray[np.float64]]:
+    """The rig's discrete model, LQG3 designed from eight states of it and the command's delay, and the capacities."""
+    from abrace_lqg.design import design
+    from abrace_lqg.weights import load_weights
+    from abrace_plant.rig_file import load_rig
+    from abrace_sysid.reduction import balanced_truncation, typical_scales
+
+    rig = load_rig(SOURCE / "abrace_plant/config/ncree_three_storey.yaml")
+    weights = load_weights(SOURCE / "abrace_lqg/config/lqg3.yaml")
+    reduced = balanced_truncation(rig.model, 8, typical_scales(rig.model, (0.3, 30.0))).model
+    law = design(reduced, weights, 1 / rig.sample_rate, (rig.model,)).controller
+    return rig.discrete_model(), law, rig.capacity
+
+
+def el_centro(sample_period: float) -> NDArray[np.float64]:
+    """(SAMPLES,) El Centro over and over, with a peak of 1."""
+    import numpy as np
+
+    from abrace_plant.record_files import read_record
+
+    record = read_record("el_centro")
+    times = np.arange(int((len(record.acceleration) - 1) * record.sample_period / sample_period)) * sample_period
+    once = np.interp(times, np.arange(len(record.acceleration)) * record.sample_period, record.acceleration)
+    return np.resize(once / np.abs(once).max(), SAMPLES)
+
+
+def stepped(
+    model: LinearModel, controller: LinearModel, ground: NDArray[np.float64], capacity: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The cut loop as its equations stand, for the deviation: outputs, and the commands in force until each sample."""
+    import numpy as np
+
+    measured = [model.outputs.index(name) for name in controller.inputs]
+    x, q = np.zeros(model.order), np.zeros(controller.order)
+    before = command = np.zeros(len(capacity))
+    outputs, commands = np.zeros((len(ground), len(model.outputs))), np.zeros((len(ground), len(capacity)))
+    for k, w in enumerate(ground):
+        drive = np.append(w, command)
+        commands[k], before = before, command
+        outputs[k] = model.c @ x + model.d @ drive
+        y = outputs[k, measured]
+        command = np.clip(controller.c @ q + controller.d @ y, -capacity, capacity)
+        x, q = model.a @ x + model.b @ drive, controller.a @ q + controller.b @ y
+    return outputs, commands
+
+
+def seconds_of(runs: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """The best time of each over several turns, the first not counted; a turn repeats a run for TURN seconds."""
+    best = dict.fromkeys(runs, float("inf"))
+    for turn in range(1 + TURNS):
+        for name, run in runs.items():
+            end = time.perf_counter() + TURN
+            while (begin := time.perf_counter()) < end:
+                run()
+                if turn:
+                    best[name] = min(best[name], time.perf_counter() - begin)
+    return best
+
+
+def measure() -> dict[str, Any]:
+    """Seconds and ratios, and the largest deviation of a channel as a share of its peak; for bench.json."""
+    import control
+    import numpy as np
+    from scipy import signal
+
+    from abrace_core.simulation import simulate, simulate_closed_loop
+    from abrace_lqg.margins import closed_loop
+
+    model, law, capacity = rig_and_law()
+    loop = closed_loop(model, law)
+    motion = el_centro(model.sample_period)
+    ground, strong = LINEAR * motion, SATURATED * motion
+    scipy_loop, control_loop = (loop.a, loop.b, loop.c, loop.d, loop.sample_period), loop.to_control()
+    times = np.arange(SAMPLES) * loop.sample_period
+    assert loop.order >= 24, f"a loop of {loop.order} states, expected 24 or more"
+
+    def products() -> None:
+        now, after = np.ones(loop.order), np.ones(loop.order)
+        for _ in range(SAMPLES):
+            np.dot(loop.a, now, out=after)
+            now, after = after, now
+
+    def deviation(found: NDArray[np.float64], expected: NDArray[np.float64]) -> float:
+        return float((np.abs(found - expected).max(axis=0) / np.abs(expected).max(axis=0)).max())
+
+    best = seconds_of(
+        {
+            "linear": lambda: simulate(loop, ground[:, None]),
+            "saturated": lambda: simulate_closed_loop(model, law, strong, capacity),
+            "dlsim": lambda: signal.dlsim(scipy_loop, ground),
+            "forced_response": lambda: control.forced_response(control_loop, times, ground),
+            "floor": products,
+        }
+    )
+    threads = len(list(Path("/proc/self/task").iterdir()))
+    assert threads == 1, f"{threads} threads, expected one (set {', '.join(ONE_THREAD)} to 1 before Python starts)"
+    outputs, commands = simulate_closed_loop(model, law, strong, capacity)
+    fraction = float(np.mean(np.abs(commands) >= capacity))
+    assert fraction > 0.01, f"{fraction:.2%} of the commands are cut, expected more than 1 %"
+    expected = np.hstack(stepped(model, law, strong, capacity))
+    deviations = {
+        "linear": deviation(simulate(loop, ground[:, None]), signal.dlsim(scipy_loop, ground)[1]),
+        "saturated": deviation(np.hstack([outputs, commands]), expected),
+    }
+    found: dict[str, Any] = {"samples": SAMPLES, "states": loop.order, "outputs": len(loop.outputs)}
+    for case, largest in deviations.items():
+        ratios = {f"ratio_to_{peer}": best[peer] / best[case] for peer in ("dlsim", "forced_response", "floor")}
+        found[case] = {"seconds": best[case], **ratios, "largest_deviation": largest}
+    found["saturated"]["saturated_fraction"] = fraction
+    return found
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure(), indent=1))

@@ -1,0 +1,48 @@
+"""Loops that have to go sample by sample, compiled at their first call.
+
+numba compiles them and keeps the result beside the source (or, where that cannot be written, in the user's cache
+folder), so that only the first call on a machine waits for the compiler; a new process still takes about a second to
+import numba and load the result, so that a loop in real time calls once before it starts. Without numba they run as
+they stand, some hundred times slower and with the same result to rounding.
+"""
+
+from __future__ import annotations
+
+from functools import cache, wraps
+from typing import TYPE_CHECKING, ParamSpec, TypeVar, cast
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator for a function of numbers and arrays that uses nothing but numbers, arrays and loops over them.
+
+    It is compiled anew for each combination of types and memory layouts that it is called with: give it contiguous
+    arrays of float64, and scalars of one type.
+
+    Parameters
+    ----------
+    function
+        What numba's nopython mode can compile; it calls no other compiled function.
+    """
+
+    @cache
+    def ready() -> Callable[P, R]:
+        try:
+            import numba
+        except ImportError:  # not there, or not for this Python or NumPy
+            return function
+        try:
+            return cast("Callable[P, R]", numba.njit(cache=True)(function))
+        except RuntimeError:  # nowhere to keep the result: compile in each process
+            return cast("Callable[P, R]", numba.njit(function))
+
+    @wraps(function)
+    def call(*arguments: P.args, **keywords: P.kwargs) -> R:
+        return ready()(*arguments, **keywords)
+
+    return call
