@@ -80,7 +80,7 @@ def test_the_node_shows_each_with_type_description_and_range(node):
     (allowed,) = shown["rate"].floating_point_range
     assert (allowed.from_value, allowed.to_value) == (1.0, 1e4)
     assert shown["seed"].integer_range[0].from_value == 0
-    assert shown["unit"].additional_constraints == "a text out of , g, m/s^2"
+    assert shown["unit"].additional_constraints == "a text out of an empty text, g, m/s^2"
     types = [ParameterType.PARAMETER_DOUBLE_ARRAY, ParameterType.PARAMETER_STRING_ARRAY]
     assert [shown[name].type for name in ("band", "inputs")] == types
 
@@ -107,7 +107,7 @@ def test_a_running_node_changes_none(node):
         ("lockstep", 1, "true or false"),
         ("rig", "", "a text, not empty"),
         ("rig", 5, "a text"),
-        ("unit", "ft", "out of , g, m/s^2"),
+        ("unit", "ft", "out of an empty text, g, m/s^2"),
         ("band", 10.0, "a list like [3.0], at least 0.0"),
         ("band", [0, 10], "a list like [3.0]"),
         ("band", [0.0, -1.0], "at least 0.0"),

@@ -28,7 +28,8 @@ class Laboratory:
         self.model = rig.discrete_model()
 
     def _run(self, source, outputs, ground, command_until):
-        sensors = Measurement(self.rig.sensors.channels(self.rig.floors, self.rig.groups), self.seed)
+        channels = self.rig.sensors.channels(self.rig.floors, self.rig.groups)
+        sensors = Measurement(channels, self.seed, self.model.sample_period)
         readings = np.array([sensors.read(row) for row in np.column_stack([outputs, ground])])
         sequence = np.arange(len(ground), dtype=np.uint64)
         period = self.model.sample_period

@@ -76,14 +76,3 @@ def test_hankel_chart_tells_kept_from_cut(identified):
     kept, cut = axis.containers
     assert (len(kept), len(cut)) == (8, 16)
     assert kept[0].get_height() == pytest.approx(identified.hankel_singular_values[0])
-
-
-def test_saved_figures_are_whole_png_files_or_none(tmp_path, comparison):
-    figure = figures.time_histories(comparison)
-    figures.save(figure, tmp_path / "new" / "fig6.png")
-    assert (tmp_path / "new" / "fig6.png").read_bytes().startswith(b"\x89PNG")
-    assert [path.name for path in (tmp_path / "new").iterdir()] == ["fig6.png"]
-    (tmp_path / "folder.png").mkdir()
-    with pytest.raises(AbraceError, match="cannot write"):
-        figures.save(figure, tmp_path / "folder.png")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.png", "new"]

@@ -7,7 +7,7 @@ import pytest
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
 from abrace_plant.actuator import Actuator
-from abrace_plant.building import Building
+from abrace_plant.building import Building, modal_damping
 from abrace_plant.rig import BraceGroup
 from abrace_sysid.identification import IdentificationOptions, identify
 from abrace_sysid.validation import compare
@@ -103,9 +103,10 @@ def test_progress_rises_to_one_and_provenance_says_what_was_done(table_test, com
 
 
 def test_a_rig_of_two_storeys_is_identified_by_the_same_code(rig, laboratory_of):
+    masses, stiffness = np.array([9e3, 8e3]), np.array([[6e6, -3e6], [-3e6, 3e6]])
     two = replace(
         rig,
-        building=Building(np.array([9e3, 8e3]), np.array([[6e6, -3e6], [-3e6, 3e6]]), np.array([0.01, 0.01])),
+        building=Building(masses, stiffness, modal_damping(masses, stiffness, np.array([0.01, 0.01]))),
         braces=(BraceGroup(2, 1, 0.9, 1e5, Actuator(3e4, 5e6, 0.0008, 0.5, 4e3)),),
         local_modes=(),
     )

@@ -36,6 +36,7 @@ from abrace_bringup.processes import ProcessGroup, find_executable
 from abrace_bringup.progress import Progress
 from abrace_bringup.report import PAPER_POLES
 from abrace_core.controller_file import load_controller
+from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import pole_table
@@ -243,7 +244,7 @@ class Runner:
         if self.rig.name == PAPER_RIG:
             reference["paper, A1 and A2"] = np.concatenate([PAPER_POLES["table"], PAPER_POLES["command"]])
         chart = figures.pole_chart({f"{test} test": _complex(found) for test, found in identified.items()}, reference)
-        figures.save(chart, self.results / step / "poles.png")
+        save_figure(chart, self.results / step / "poles.png")
 
     def facts(self, name: str, test: RigTest, seed: int) -> dict[str, str]:
         """What a test's bag says of its run."""

@@ -49,6 +49,7 @@ class BraceCommander(AbraceLifecycleNode):
         self.slowest = 0.0
         self.quiet = True
         self.stopped = False
+        self.pressed = False
         self.publisher = self.publish_on(BraceCommand, "brace_command", KEPT_STREAM_QOS)
         self.subscribe_to(Response, "response", self.on_response, KEPT_STREAM_QOS, raw=True)
         self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
@@ -99,16 +100,20 @@ class BraceCommander(AbraceLifecycleNode):
         self.slowest = max(self.slowest, time.perf_counter() - begin)
 
     def on_emergency_stop(self, message: Bool) -> None:
-        """Someone pressed the button."""
-        if message.data:
+        """Someone pressed the button, or released it."""
+        self.pressed = message.data
+        if self.pressed:
             self.stopped = True
             self.guard.fault(EMERGENCY_STOP)
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """A person clears the latched fault; the next sample begins anew."""
         reason = self.guard.fault_reason
-        response.success = reason is not None and self.active
-        response.message = f"cleared: {reason}" if response.success else "no fault" if self.active else "not active"
+        refusal = "not active" if not self.active else "no fault" if reason is None else ""
+        if self.pressed and not refusal:
+            refusal = f"{EMERGENCY_STOP} is still pressed"
+        response.success = not refusal
+        response.message = refusal or f"cleared: {reason}"
         if response.success:
             self.stopped = False
             self.guard.clear()

@@ -27,7 +27,7 @@ import rclpy
 from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.srv import ChangeState
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -104,6 +104,8 @@ class Parameter:
         Type of an array's elements, for arrays that are empty by default.
     required
         Whether an empty value is refused.
+    live
+        Whether it may be changed while the node runs; its new value then comes to `Node.parameter_changed`.
     """
 
     name: str
@@ -114,6 +116,7 @@ class Parameter:
     choices: tuple[str, ...] = ()
     element: type | None = None
     required: bool = False
+    live: bool = False
 
     @property
     def _element(self) -> type:
@@ -133,7 +136,7 @@ class Parameter:
             kind[self._element] if not isinstance(self.default, list) else f"a list like [{_EXAMPLES[self._element]}]"
         )
         if self.choices:
-            text += f" out of {', '.join(self.choices)}"
+            text += f" out of {', '.join(choice or 'an empty text' for choice in self.choices)}"
         if self.minimum is not None and self.maximum is not None:
             text += f" from {self.minimum} to {self.maximum}"
         elif self.minimum is not None:
@@ -143,9 +146,13 @@ class Parameter:
         return text
 
     def descriptor(self) -> ParameterDescriptor:
-        """The descriptor that ROS tools show. Parameters are read once, when the node starts."""
+        """The descriptor that ROS tools show."""
         descriptor = ParameterDescriptor(
-            description=self.description, read_only=True, additional_constraints=self.expected()
+            description=self.description,
+            read_only=not self.live,
+            additional_constraints=self.expected(),
+            # rclpy takes an empty list for one of bytes; `check` looks at the type of what comes later
+            dynamic_typing=self.default == [],
         )
         low = self.minimum if self.minimum is not None else -sys.float_info.max
         high = self.maximum if self.maximum is not None else sys.float_info.max
@@ -156,6 +163,20 @@ class Parameter:
                 bounds = IntegerRange(from_value=int(max(low, -(2**63))), to_value=int(min(high, 2**63 - 1)), step=0)
                 descriptor.integer_range = [bounds]
         return descriptor
+
+    def check(self, given: RosParameter) -> Any:
+        """The value given, if it is one that the node can use.
+
+        Raises
+        ------
+        AbraceError
+            If it has another type or is out of range.
+        """
+        value = given.value
+        empty_list = isinstance(self.default, list) and given.type_ == RosParameter.Type.BYTE_ARRAY and not value
+        if not (given.type_ == self.ros_type or empty_list) or not self.holds(value):
+            raise AbraceError(f"parameter {self.name}: {value!r}, expected {self.expected()}")
+        return list(value) if isinstance(value, (list, tuple, array)) else value
 
     def holds(self, value: Any) -> bool:
         """Whether a value of the right type is one that the node can use."""
@@ -185,21 +206,13 @@ def declare(node: Node, table: Sequence[Parameter]) -> SimpleNamespace:
             names = ", ".join(sorted(parameter.name for parameter in table))
             raise AbraceError(f"parameter {name}: unknown, {node.get_name()} has {names}")
     for parameter in table:
-        shown = repr(given[parameter.name].value) if parameter.name in given else repr(parameter.default)
-        message = f"parameter {parameter.name}: {shown}, expected {parameter.expected()}"
-        override = given.get(parameter.name)
-        if override is not None and override.type_ != parameter.ros_type:
-            raise AbraceError(message)
-        value = override.value if override is not None else parameter.default
-        if not parameter.holds(value):
-            raise AbraceError(message)
+        value = parameter.check(given.get(parameter.name) or RosParameter(parameter.name, value=parameter.default))
+        ros_value = RosParameter(parameter.name, parameter.ros_type, value).value
         try:
-            node.declare_parameter(
-                parameter.name, RosParameter(parameter.name, parameter.ros_type, value).value, parameter.descriptor()
-            )
+            node.declare_parameter(parameter.name, ros_value, parameter.descriptor())
         except InvalidParameterException as error:
-            raise AbraceError(message) from error
-        setattr(values, parameter.name, list(value) if isinstance(value, (list, tuple, array)) else value)
+            raise AbraceError(f"parameter {parameter.name}: {value!r}, expected {parameter.expected()}") from error
+        setattr(values, parameter.name, value)
     return values
 
 
@@ -247,6 +260,26 @@ class _Conventions:
 
     due: float | None = None
     exit_code: int | None = None
+
+    def follow_parameters(self, node: Node, table: Sequence[Parameter], values: SimpleNamespace) -> None:
+        """From here on, live parameters may be changed: checked, told to `parameter_changed`, kept in `values`."""
+        live = {parameter.name: parameter for parameter in table if parameter.live}
+
+        def on_set(parameters: list[RosParameter]) -> SetParametersResult:
+            try:
+                for given in parameters:
+                    if given.name in live:
+                        value = live[given.name].check(given)
+                        self.parameter_changed(given.name, value)
+                        setattr(values, given.name, value)
+            except AbraceError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=True)
+
+        node.add_on_set_parameters_callback(on_set)
+
+    def parameter_changed(self, name: str, value: Any) -> None:
+        """Make use of a live parameter's new `value`, or refuse it with an AbraceError."""
 
     def start_diagnostics(self, node: Node) -> None:
         self.ended = Future()
@@ -333,6 +366,7 @@ class AbraceNode(_Conventions, Node):
     def __init__(self, name: str, table: Sequence[Parameter]) -> None:
         Node.__init__(self, name)
         self.parameters = declare(self, table)
+        self.follow_parameters(self, table, self.parameters)
         self.start_diagnostics(self)
 
 
@@ -348,6 +382,7 @@ class AbraceLifecycleNode(_Conventions, LifecycleNode):
     def __init__(self, name: str, table: Sequence[Parameter]) -> None:
         LifecycleNode.__init__(self, name)
         self.parameters = declare(self, [*table, AUTOSTART])
+        self.follow_parameters(self, table, self.parameters)
         self.refusal: AbraceError | None = None
         self.configured = False
         self.active = False

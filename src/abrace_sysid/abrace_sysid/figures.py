@@ -1,7 +1,6 @@
 """Figures in the manner of the paper's Figs. 3 to 6, a pole chart and the Hankel singular values.
 
-Each function returns a matplotlib Figure that belongs to no window; `save` writes it. Measured curves have one colour
-throughout and simulated or fitted ones another; a reference (the rig's own curve, another model's) is grey.
+Each function returns a matplotlib Figure; `abrace_core.drawing` has the colours and saves it.
 """
 
 from __future__ import annotations
@@ -12,8 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from abrace_core import signals
+from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
 from abrace_core.errors import AbraceError
-from abrace_core.files import write_beside
 from abrace_core.linear_model import pole_table
 from abrace_core.response import paper_unit
 from abrace_core.simulation import discretize
@@ -21,7 +20,6 @@ from abrace_sysid.realization import HOLDS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
@@ -30,12 +28,6 @@ if TYPE_CHECKING:
     from abrace_core.run import Run
     from abrace_sysid.frequency_response import FrequencyResponse
     from abrace_sysid.validation import Comparison
-
-MEASURED = "#1b3a6b"
-SIMULATED = "#d1495b"
-REFERENCE = "#8a8a8a"
-RESOLUTION = 160
-"""Dots per inch of saved figures."""
 
 
 def transfer_functions(
@@ -193,12 +185,6 @@ def control_effect(uncontrolled: Run, controlled: Run, channels: Sequence[str]) 
     axes[-1].set_xlim(controlled.time[0], controlled.time[-1])
     axes[-1].set_xlabel("time [s]")
     return figure
-
-
-def save(figure: Figure, path: Path | str) -> None:
-    """Write a figure to a PNG file, whole or not at all."""
-    with write_beside(path) as beside:
-        figure.savefig(beside, format="png", dpi=RESOLUTION)
 
 
 def _history(axis: Axes, comparison: Comparison, j: int, factor: float) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from abrace_core.bag import read_run
+from abrace_core.drawing import save_figure
 from abrace_core.files import write_text
 from abrace_core.linear_model import export_mat, pole_table, save_model
 from abrace_core.node import AbraceNode, Parameter, run
@@ -80,7 +81,7 @@ class Identify(AbraceNode):
             "hankel_singular_values": figures.hankel_singular_values(found.hankel_singular_values, given.reduced_order),
         }
         for name, figure in drawings.items():
-            figures.save(figure, output / f"{name}.png")
+            save_figure(figure, output / f"{name}.png")
         print(f"wrote {output}")
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from abrace_core.bag import read_run
 from abrace_core.controller_file import load_controller
+from abrace_core.drawing import save_figure
 from abrace_core.files import write_text
 from abrace_core.linear_model import load_model
 from abrace_core.node import AbraceNode, Parameter, run
@@ -68,10 +69,10 @@ class Validate(AbraceNode):
         write_text(output / "comparison.json", json.dumps(content, indent=1))
         top = test.floors
         drawing = figures.time_histories(comparison, [f"x{top}", "a1"], (ZOOM[0], min(ZOOM[1], comparison.time[-1])))
-        figures.save(drawing, output / "figure_6_time_histories.png")
+        save_figure(drawing, output / "figure_6_time_histories.png")
         if uncontrolled:
             drawing = figures.control_effect(uncontrolled, test, [f"x{top}", f"a{top}"])
-            figures.save(drawing, output / "uncontrolled_and_controlled.png")
+            save_figure(drawing, output / "uncontrolled_and_controlled.png")
         print("channel  correlation  normalised rms error")
         for name, value in correlation.items():
             print(f"{name:8} {value:11.4f}  {error[name]:20.4f}")

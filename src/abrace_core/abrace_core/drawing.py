@@ -1,0 +1,28 @@
+"""What all figures share: colours, and how they are saved.
+
+A figure is a matplotlib Figure that belongs to no window. Measured curves have one colour throughout and simulated or
+fitted ones another; a reference (another model's curve, the paper's numbers) is grey.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from abrace_core.files import write_beside
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
+
+MEASURED = "#1b3a6b"
+SIMULATED = "#d1495b"
+REFERENCE = "#8a8a8a"
+RESOLUTION = 160
+"""Dots per inch of saved figures."""
+
+
+def save_figure(figure: Figure, path: Path | str) -> None:
+    """Write a `figure` to a PNG file, whole or not at all."""
+    with write_beside(path) as beside:
+        figure.savefig(beside, format="png", dpi=RESOLUTION)

@@ -1,0 +1,17 @@
+import pytest
+from matplotlib.figure import Figure
+
+from abrace_core.drawing import save_figure
+from abrace_core.errors import AbraceError
+
+
+def test_saved_figures_are_whole_png_files_or_none(tmp_path):
+    figure = Figure()
+    figure.subplots().plot([1, 2, 3])
+    save_figure(figure, tmp_path / "new" / "fig6.png")
+    assert (tmp_path / "new" / "fig6.png").read_bytes().startswith(b"\x89PNG")
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["fig6.png"]
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(AbraceError, match="cannot write"):
+        save_figure(figure, tmp_path / "folder.png")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.png", "new"]
