@@ -21,6 +21,8 @@ setup(
             "plant = abrace_plant.nodes.plant:main",
             "ground_motion = abrace_plant.nodes.ground_motion:main",
             "logger = abrace_plant.nodes.logger:main",
+            "record = abrace_plant.nodes.record:main",
+            "characterize = abrace_plant.nodes.characterize:main",
         ]
     },
 )

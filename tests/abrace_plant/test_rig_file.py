@@ -4,15 +4,42 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy import linalg
 
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import LinearModel
+from abrace_core.simulation import discretize, simulate
+from abrace_plant.building import Building, shear_stiffness
+from abrace_plant.ground_motion import Treatment, prepare
+from abrace_plant.record_files import read_record
+from abrace_plant.rig import Rig
 from abrace_plant.rig_file import load_rig
 
-CONFIGURATION = Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml"
+CONFIGURATIONS = Path(__file__).parents[2] / "src/abrace_plant/config"
+CONFIGURATION = CONFIGURATIONS / "ncree_three_storey.yaml"
+G = 9.80665
+REPEATED = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+"""For properties of files: every example overwrites the last one's."""
 
 
-def content() -> dict[str, Any]:
-    return yaml.safe_load(CONFIGURATION.read_text())
+def content(name: str = "ncree_three_storey") -> dict[str, Any]:
+    return yaml.safe_load((CONFIGURATIONS / f"{name}.yaml").read_text())
+
+
+def read(written: dict[str, Any], folder: Path) -> Rig:
+    (folder / "rig.yaml").write_text(yaml.safe_dump(written))
+    return load_rig(folder / "rig.yaml")
+
+
+def refusal(written: dict[str, Any], folder: Path) -> str:
+    """The message without the file's name; empty where the rig is accepted."""
+    try:
+        read(written, folder)
+    except AbraceError as error:
+        return str(error).removeprefix(f"rig file {folder / 'rig.yaml'}: ")
+    return ""
 
 
 def test_the_papers_rig_is_read_as_its_file_says():
@@ -43,9 +70,9 @@ def test_rig_of_another_size_is_read(tmp_path):
     assert rig.model.is_stable()
 
 
-def edited(path: tuple[str | int, ...], value: object) -> dict[str, Any]:
-    """The paper's rig with one key changed; `...` deletes it."""
-    written = content()
+def edited(path: tuple[str | int, ...], value: object, name: str = "ncree_three_storey") -> dict[str, Any]:
+    """A rig with one key changed, the paper's unless named; `...` deletes it."""
+    written = content(name)
     place: Any = written
     for part in path[:-1]:
         place = place[part]
@@ -68,6 +95,9 @@ def edited(path: tuple[str | int, ...], value: object) -> dict[str, Any]:
         (("sample_rate",), 0.0, "sample_rate", "greater than 0"),
         (("sample_rate",), "fast", "sample_rate", "number"),
         (("building", "masses", 1), -5.0, "building.masses.1", "greater than 0"),
+        (("building", "masses", 1), 1e300, "building.masses.1", "less than or equal to 1000000000000000"),
+        (("building", "masses", 1), 1e-300, "building.masses.1", "at least 1e-15"),
+        (("building", "stiffness", 1, 1), 1e308, "building.stiffness.1.1", "less than or equal to"),
         (("building", "masses", 1), float("nan"), "building.masses.1", "nan"),
         (("building", "masses", 1), float("inf"), "building.masses.1", "finite"),
         (("building", "masses"), [1.0, 1.0], "building.stiffness", "2 rows of 2"),
@@ -131,3 +161,278 @@ def test_file_that_is_no_rig_gives_one_line_that_names_it(tmp_path, text, expect
     assert str(caught.value).startswith(f"rig file {file}: ")
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+# --- the building's alternatives -------------------------------------------------------------------------------------
+
+MODES = {"frequencies": [6.67, 21.8, 37.5], "shapes": [[0.4, 0.8, 1.0], [-1.0, -0.35, 0.8], [0.8, -1.0, 0.4]]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"storey_stiffness": [9e6, 8e6, 7e6]}, "building: storey_stiffness and stiffness, expected exactly one of"),
+        ({"modes": MODES}, "building: stiffness and modes, expected exactly one of"),
+        ({"stiffness": ...}, "building: none of them, expected exactly one of storey_stiffness, stiffness or modes"),
+        ({"damping_ratios": ...}, "building: none of them, expected exactly one of damping_ratios or rayleigh"),
+        (
+            {"rayleigh": {"modes": [1, 2], "damping_ratios": [0.01, 0.01]}},
+            "building: damping_ratios and rayleigh, expected exactly one of damping_ratios or rayleigh",
+        ),
+        (
+            {"stiffness": ..., "storey_stiffness": [9e6, 8e6]},
+            "building.storey_stiffness: 2 numbers, expected one for each of 3 storeys",
+        ),
+        ({"stiffness": ..., "storey_stiffness": [9e6, -8e6, 7e6]}, "building.storey_stiffness.1: -8000000.0, expected"),
+        (
+            {"stiffness": ..., "modes": MODES | {"frequencies": [6.7, 21.8]}},
+            "building.modes.frequencies: 2 numbers, expected one for each of 3 modes, as many as floors",
+        ),
+        (
+            {"stiffness": ..., "modes": MODES | {"frequencies": [6.7, 37.5, 21.8]}},
+            "building.modes.frequencies: [6.7, 37.5, 21.8], expected frequencies in ascending order",
+        ),
+        (
+            {"stiffness": ..., "modes": MODES | {"frequencies": [0.0, 21.8, 37.5]}},
+            "building.modes.frequencies.0: 0.0, expected",
+        ),
+        (
+            {"stiffness": ..., "modes": MODES | {"shapes": MODES["shapes"][:2]}},
+            "building.modes.shapes: 2 shapes, expected one for each of 3 modes",
+        ),
+        (
+            {"stiffness": ..., "modes": MODES | {"shapes": [*MODES["shapes"][:2], [0.8, -1.0]]}},
+            "building.modes.shapes.2: 2 numbers, expected one for each of 3 floors",
+        ),
+        (
+            {"stiffness": ..., "modes": MODES | {"shapes": [*MODES["shapes"][:2], [-1.0, -0.4, 0.8]]}},
+            "building.modes.shapes: the shapes of modes 2 and 3 are too alike",
+        ),
+        (
+            {"damping_ratios": ..., "rayleigh": {"modes": [1, 4], "damping_ratios": [0.01, 0.01]}},
+            "building.rayleigh.modes: [1, 4], expected two different modes from 1 to 3",
+        ),
+        (
+            {"damping_ratios": ..., "rayleigh": {"modes": [2, 2], "damping_ratios": [0.01, 0.01]}},
+            "building.rayleigh.modes: [2, 2], expected two different modes from 1 to 3",
+        ),
+        (
+            {"damping_ratios": ..., "rayleigh": {"modes": [1, 2], "damping_ratios": [0.2, 0.9]}},
+            "building.rayleigh: mode 3 gets a damping ratio of 1.",
+        ),
+        (
+            {"damping_ratios": ..., "rayleigh": {"modes": [1, 2], "damping_ratios": [0.05, 0.001]}},
+            "building.rayleigh: mode 3 gets a damping ratio of -",
+        ),
+        (
+            {"damping_ratios": ..., "rayleigh": {"modes": [1], "damping_ratios": [0.05, 0.001]}},
+            "building.rayleigh.modes: [1], expected",
+        ),
+        ({"masses": []}, "building.masses: [], expected"),
+        (
+            {"stiffness": [[2e6, -1e6, 0.0], [-1e6, 1e6, 0.0], [0.0, 0.0, 0.0]]},
+            "building.stiffness: squares of the frequencies 0, ",
+        ),
+        (
+            {"stiffness": [[8e6, -5e6, 1e6], [-5e6, 9e6, -4e6], [1e6, -5e6, 4e6]]},
+            "building.stiffness: not symmetric: -4000000 in row 2, column 3, and -5000000 opposite, expected symmetry",
+        ),
+    ],
+)
+def test_mistake_in_the_building_is_told_with_its_key(tmp_path, changes, expected):
+    written = content()
+    for key, value in changes.items():
+        if value is ...:
+            del written["building"][key]
+        else:
+            written["building"][key] = value
+    message = refusal(written, tmp_path)
+    assert message.startswith(expected), message
+    assert "\n" not in message
+
+
+def test_a_building_is_the_same_in_each_of_its_three_forms(tmp_path):
+    storeys, ratios = [9e6, 8e6, 7e6], [0.01, 0.012, 0.014]
+    stiffness = shear_stiffness(np.array(storeys))
+    masses = np.array(content()["building"]["masses"])
+    frequencies, shapes = Building(masses, stiffness, stiffness).modes()
+    forms = (
+        {"storey_stiffness": storeys},
+        {"stiffness": stiffness.tolist()},
+        {"modes": {"frequencies": frequencies.tolist(), "shapes": shapes.T.tolist()}},
+    )
+    for form in forms:
+        written = content()
+        del written["building"]["stiffness"]
+        written["building"] |= form | {"damping_ratios": ratios}
+        found = read(written, tmp_path).building
+        np.testing.assert_allclose(found.stiffness, stiffness, atol=1e-9 * 9e6)
+        np.testing.assert_allclose(found.damping_ratios, ratios, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "expected"),
+    [
+        (("sample_rate",), 42.0, "sample_rate: 42 Hz, expected more than 42.99"),
+        (("local_modes", 1, "frequency"), 1600.0, "sample_rate: 500 Hz, expected more than 509.296"),
+    ],
+)
+def test_sample_rate_below_twice_the_fastest_mode_is_refused(tmp_path, path, value, expected):
+    message = refusal(edited(path, value), tmp_path)
+    assert message.startswith(expected)
+    assert "twice the frequency of local_modes." in message
+
+
+def test_sample_rate_counts_the_stiffeners_too(tmp_path):
+    written = edited(("braces", 0, "stiffener_stiffness"), 1.2e8)
+    del written["local_modes"]
+    written["sample_rate"] = 32.0
+    assert "twice the frequency of mode 3 of the building with its stiffeners" in refusal(written, tmp_path)
+
+
+# --- the files of the folder -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "floors", "groups", "on"),
+    [("ncree_three_storey", 3, 1, [1]), ("five_storey", 5, 2, [1, 3]), ("single_storey", 1, 1, [1])],
+)
+def test_rigs_of_the_folder_survive_a_tenth_of_g_of_el_centro_and_can_be_controlled(name, floors, groups, on):
+    rig = load_rig(CONFIGURATIONS / f"{name}.yaml")
+    assert (rig.name, rig.floors, rig.groups, rig.sample_rate) == (name, floors, groups, 500.0)
+    assert [group.floor for group in rig.braces] == on
+    model = rig.model
+    assert model.is_stable()
+    ground = prepare(read_record("el_centro"), rig.sample_rate, Treatment(peak_acceleration=0.1 * G))
+    still = simulate(rig.discrete_model(), np.column_stack([ground, np.zeros((len(ground), groups))]))
+    greatest = np.append(np.abs(still).max(axis=0), np.abs(ground).max())
+    ranges = [sensor.range for sensor in rig.sensors.channels(floors, groups)]
+    assert (1.2 * greatest < ranges).all(), "none is clipped"
+    assert (greatest > 0.01 * np.array(ranges)).all(), "nor lost in the noise"
+    limits = [group.actuator.stroke_limit for group in rig.braces]
+    assert (greatest[floors : floors + groups] < limits).all()
+
+    # a state feedback that weighs the displacements, from the true state
+    x, commands = model.c[:floors], model.b[:, 1:]
+    price = np.diag(1e-3 / rig.capacity**2)
+    riccati = linalg.solve_continuous_are(model.a, commands, x.T @ x, price)
+    gain = np.linalg.solve(price, commands.T @ riccati)
+    closed = LinearModel(
+        model.a - commands @ gain,
+        model.b[:, :1],
+        np.vstack([x, -gain]),
+        np.zeros((floors + groups, 1)),
+        ("w",),
+        tuple(f"s{i}" for i in range(floors + groups)),
+    )
+    moved = np.abs(simulate(discretize(closed, 1 / rig.sample_rate), ground[:, None])).max(axis=0)
+    assert moved[floors - 1] < 0.65 * greatest[floors - 1], "the roof moves much less"
+    assert (moved[floors:] < rig.capacity).all(), "within the actuators' capacity"
+
+
+# --- any rig ---------------------------------------------------------------------------------------------------------
+
+
+@st.composite
+def rigs(draw: st.DrawFn) -> dict[str, Any]:
+    """A rig file of 1 to 6 floors, from a table-top model to a full-scale frame."""
+
+    def some(least: float, most: float) -> float:
+        """A number in between, every magnitude as likely."""
+        return float(least * (most / least) ** draw(st.floats(0.0, 1.0)))
+
+    floors, height = draw(st.integers(1, 6)), some(0.3, 4.0)
+    masses = np.array([some(0.5, 2.0) for _ in range(floors)]) * some(50.0, 5000.0) * height**3
+    storeys = np.array([some(0.4, 2.5) for _ in range(floors)])
+    stiffness = shear_stiffness(storeys)
+    form = draw(st.sampled_from(["storey_stiffness", "stiffness", "modes"]))
+    if form == "stiffness":
+        twist = np.array([[some(0.5, 2.0) for _ in range(floors)] for _ in range(floors)])
+        stiffness += 0.1 * twist @ twist.T / floors
+    first = 2 * np.pi * some(0.3, min(12.0, 40.0 / floors))
+    scale = (first / Building(masses, stiffness, stiffness).modes()[0][0]) ** 2
+    storeys, stiffness = scale * storeys, scale * stiffness
+    frequencies, shapes = Building(masses, stiffness, stiffness).modes()
+    building: dict[str, Any] = {"storey_height": height, "masses": masses.tolist()}
+    if form == "storey_stiffness":
+        building[form] = storeys.tolist()
+    elif form == "stiffness":
+        building[form] = ((stiffness + stiffness.T) / 2).tolist()
+    else:
+        error = [[0.01 * draw(st.floats(-1.0, 1.0)) for _ in range(floors)] for _ in range(floors)]
+        building[form] = {
+            "frequencies": frequencies.tolist(),
+            "shapes": (shapes / np.abs(shapes).max(axis=0) + error).T.tolist(),
+        }
+    if floors > 1 and draw(st.booleans()):
+        modes = draw(st.permutations(range(1, floors + 1)))[:2]
+        building["rayleigh"] = {"modes": modes, "damping_ratios": [some(0.001, 0.04)] * 2}
+    else:
+        building["damping_ratios"] = [some(0.001, 0.1) for _ in range(floors)]
+
+    braces = []
+    for _ in range(draw(st.integers(1, 3))):
+        count, cosine = draw(st.integers(1, 4)), some(0.4, 1.0)
+        capacity = some(0.005, 0.3) * G * float(masses.sum()) / (count * cosine)
+        lag, flow, stroke = some(2e-4, 5e-3), some(50.0, 2000.0) * capacity, some(0.005, 0.05) * height
+        actuator = {
+            "capacity": capacity,
+            "rate_limit": some(50.0, 1000.0) * capacity,
+            "lag": lag,
+            "integral_rate": some(0.1, 3.0) * first,
+            "velocity_feedback": draw(st.sampled_from([0.0, flow * lag / some(0.1, 2.0)])),
+            "flow_limit": flow,
+            "stroke_limit": stroke,
+            "stop_stiffness": some(5.0, 500.0) * capacity / stroke,
+            "command_delay": draw(st.sampled_from([0.0, 0.0005, 0.003])),
+        }
+        stiffener = draw(st.sampled_from([0.0, some(0.05, 0.5) * float(storeys.min())]))
+        floor = draw(st.integers(1, floors))
+        group = {"floor": floor, "count": count, "cosine": cosine, "stiffener_stiffness": stiffener}
+        braces.append(group | {"actuator": actuator})
+    local = [
+        {
+            "frequency": some(1.0, 30.0) * first,
+            "damping_ratio": some(0.001, 0.1),
+            "mass": some(0.01, 1.0) * float(masses.sum()),
+            "brace_share": [draw(st.floats(-1.0, 1.0)) for _ in braces],
+            "accelerometer_share": [draw(st.floats(-1.0, 1.0)) for _ in range(floors)],
+        }
+        for _ in range(draw(st.integers(0, 2)))
+    ]
+    peak, push = some(3.0, 30.0), max(group["actuator"]["capacity"] for group in braces)
+    stroke = max(group["actuator"]["stroke_limit"] for group in braces)
+    ranges = {
+        "displacement": some(0.01, 0.3) * height,
+        "stroke": some(0.5, 1.5) * stroke,
+        "acceleration": some(0.3, 5.0) * peak,
+        "force": some(1.0, 2.0) * push,
+        "ground_acceleration": some(0.2, 2.0) * peak,
+    }
+    return {
+        "name": "any",
+        "sample_rate": float(np.clip(some(2.0, 20.0) * 2 * (30 * first + 3 * frequencies[-1]) / np.pi, 50.0, 2e4)),
+        "table": {"peak_acceleration": peak, "peak_jerk": some(30.0, 1000.0) * peak},
+        "building": building,
+        "braces": braces,
+        "local_modes": local,
+        "sensors": {key: {"range": value, "noise": value / 1000, "bits": 16} for key, value in ranges.items()},
+    }
+
+
+@settings(REPEATED, max_examples=120)
+@given(written=rigs())
+def test_any_valid_rig_file_gives_a_stable_rig_of_its_size(tmp_path, written):
+    rig = read(written, tmp_path)
+    floors, groups, local = len(written["building"]["masses"]), len(written["braces"]), len(written["local_modes"])
+    model = rig.model
+    assert (rig.floors, rig.groups, len(rig.local_modes)) == (floors, groups, local)
+    assert (len(model.inputs), len(model.outputs)) == (1 + groups, 2 * floors + 2 * groups)
+    assert model.order == 2 * (floors + local) + 2 * groups
+    assert len(rig.sensors.channels(floors, groups)) == len(model.outputs) + 1
+    assert len(rig.capacity) == len(rig.rate_limit) == groups
+    poles = model.poles()
+    assert (poles.real < -1e-6 * np.abs(poles)).all(), f"undamped: {poles[np.argmax(poles.real / np.abs(poles))]}"
+    damping = rig.building.damping
+    np.testing.assert_allclose(damping, damping.T, atol=1e-12 * np.abs(damping).max())
+    assert np.linalg.eigvalsh(damping)[0] > 0

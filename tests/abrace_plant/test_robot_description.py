@@ -11,7 +11,7 @@ from abrace_plant.robot_description import joint_names, urdf
 
 RIG = load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml")
 FIVE_STOREYS = replace(
-    RIG.bare_frame(), building=Building(np.full(5, 8000.0), 1e6 * np.eye(5), np.full(5, 0.01)), storey_height=3.2
+    RIG.bare_frame(), building=Building(np.full(5, 8000.0), 1e6 * np.eye(5), np.zeros((5, 5))), storey_height=3.2
 )
 
 

@@ -1,18 +1,19 @@
 import numpy as np
 import pytest
 
-from abrace_plant.sensors import BLOCK, Measurement, Sensor, SensorSet
+from abrace_core.errors import AbraceError
+from abrace_plant.sensors import BLOCK, FAULTS, Measurement, Sensor, SensorFault, SensorSet, parse_fault
 
 
 def test_reading_is_the_nearest_step_of_the_converter():
     sensor = Sensor(range=8.0, noise=0.0, bits=4)  # steps of 1
     values = np.array([0.2, -0.7, 3.4999, 3.5001, -8.0])
-    readings = Measurement([sensor] * 5, seed=1).read(values)
+    readings = Measurement([sensor] * 5, seed=1, sample_period=0.002).read(values)
     assert readings.tolist() == [0.0, -1.0, 3.0, 4.0, -8.0]
 
 
 def test_readings_beyond_the_range_are_clipped_to_the_codes_of_the_converter():
-    measurement = Measurement([Sensor(range=0.1, noise=0.0, bits=16)] * 2, seed=1)
+    measurement = Measurement([Sensor(range=0.1, noise=0.0, bits=16)] * 2, seed=1, sample_period=0.002)
     low, high = measurement.read(np.array([-5.0, 5.0]))
     step = 0.1 / 2**15
     assert (low, high) == pytest.approx((-0.1, 0.1 - step), abs=1e-12)
@@ -20,7 +21,7 @@ def test_readings_beyond_the_range_are_clipped_to_the_codes_of_the_converter():
 
 def test_quantisation_error_stays_within_half_a_step():
     values = np.random.default_rng(0).uniform(-0.099, 0.099, (500, 1))
-    measurement = Measurement([Sensor(range=0.1, noise=0.0, bits=12)], seed=1)
+    measurement = Measurement([Sensor(range=0.1, noise=0.0, bits=12)], seed=1, sample_period=0.002)
     error = np.array([measurement.read(value)[0] for value in values]) - values[:, 0]
     step = 0.1 / 2**11
     assert np.abs(error).max() <= step / 2 * (1 + 1e-9)
@@ -29,7 +30,7 @@ def test_quantisation_error_stays_within_half_a_step():
 
 def test_noise_is_white_has_its_standard_deviation_and_leaves_channels_uncorrelated():
     channels = [Sensor(range=100.0, noise=0.5, bits=24), Sensor(range=100.0, noise=0.02, bits=24)]
-    measurement = Measurement(channels, seed=3)
+    measurement = Measurement(channels, seed=3, sample_period=0.002)
     readings = np.array([measurement.read(np.array([1.0, -2.0])) for _ in range(3 * BLOCK)])
     np.testing.assert_allclose(readings.std(axis=0), [0.5, 0.02], rtol=0.05)
     np.testing.assert_allclose(readings.mean(axis=0), [1.0, -2.0], atol=0.03)
@@ -43,7 +44,7 @@ def test_same_seed_gives_the_same_readings_and_another_seed_others():
     channels = [Sensor(range=1.0, noise=0.01, bits=16)]
 
     def readings(seed: int) -> bytes:
-        measurement = Measurement(channels, seed)
+        measurement = Measurement(channels, seed, 0.002)
         return np.array([measurement.read(np.zeros(1)) for _ in range(BLOCK + 10)]).tobytes()
 
     assert readings(5) == readings(5)
@@ -52,7 +53,7 @@ def test_same_seed_gives_the_same_readings_and_another_seed_others():
 
 def test_reading_does_not_change_the_true_values():
     values = np.array([0.123456])
-    Measurement([Sensor(range=1.0, noise=0.1, bits=8)], seed=0).read(values)
+    Measurement([Sensor(range=1.0, noise=0.1, bits=8)], seed=0, sample_period=0.002).read(values)
     assert values[0] == 0.123456
 
 
@@ -60,3 +61,64 @@ def test_channels_follow_the_order_of_the_recorded_quantities_then_the_table():
     kinds = [Sensor(range=float(i + 1), noise=0.0, bits=16) for i in range(5)]
     sensors = SensorSet(*kinds)
     assert [channel.range for channel in sensors.channels(3, 2)] == [1, 1, 1, 2, 2, 3, 3, 3, 4, 4, 5]
+
+
+def test_bias_and_drift_grow_from_the_first_sample_across_blocks():
+    measurement = Measurement(
+        [Sensor(range=10.0, noise=0.0, bits=24, bias=0.25, drift=-0.1)], seed=1, sample_period=0.002
+    )
+    samples = BLOCK + 100
+    readings = np.array([measurement.read(np.array([1.0]))[0] for _ in range(samples)])
+    np.testing.assert_allclose(readings, 1.25 - 0.1 * 0.002 * np.arange(samples), atol=10 / 2**23)
+
+
+def dying(kind: str, start: int, samples: int = 200) -> np.ndarray:
+    """(samples, 2) readings of a ramp and of its negative, the first channel dead from `start` on."""
+    measurement = Measurement([Sensor(range=10.0, noise=0.0, bits=24)] * 2, seed=1, sample_period=0.002)
+    measurement.faults = (SensorFault(0, kind, start),)
+    return np.array([measurement.read(np.array([0.01 * k, -0.01 * k])) for k in range(samples)])
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_a_channel_dies_at_its_sample_and_leaves_the_others_alone(kind):
+    readings = dying(kind, 50)
+    ramp = 0.01 * np.arange(200)
+    np.testing.assert_allclose(readings[:50, 0], ramp[:50], atol=1e-6)
+    np.testing.assert_allclose(readings[:, 1], -ramp, atol=1e-6)
+    dead = readings[50:, 0]
+    if kind == "noise":
+        assert dead.std() == pytest.approx(10 / 3, rel=0.2)
+        assert np.abs(dead).max() <= 10.0
+    else:
+        np.testing.assert_allclose(dead, readings[49, 0] if kind == "stuck" else 0.0)
+
+
+def test_a_channel_that_is_mended_reads_again():
+    measurement = Measurement([Sensor(range=10.0, noise=0.0, bits=24)], seed=1, sample_period=0.002)
+    measurement.faults = (SensorFault(0, "zero", 0),)
+    assert measurement.read(np.array([2.0]))[0] == 0.0
+    measurement.faults = ()
+    assert measurement.read(np.array([2.0]))[0] == pytest.approx(2.0, abs=1e-5)
+
+
+def test_noise_of_an_open_input_leaves_the_other_channels_noise_as_it_is():
+    sensors = [Sensor(range=10.0, noise=0.1, bits=24)] * 2
+    well, ill = (Measurement(sensors, seed=7, sample_period=0.002) for _ in range(2))
+    ill.faults = (SensorFault(0, "noise", 0),)
+    readings = np.array([(well.read(np.zeros(2)), ill.read(np.zeros(2))) for _ in range(100)])
+    assert (readings[:, 0, 1] == readings[:, 1, 1]).all()
+
+
+def test_faults_are_described_by_channel_kind_and_time():
+    names = ("x1", "a1", "w")
+    assert parse_fault("a1=stuck", names, 0.002) == SensorFault(1, "stuck", 0)
+    assert parse_fault("w=noise@20.0", names, 0.002) == SensorFault(2, "noise", 10_000)
+    assert parse_fault("x1=zero@0.003", names, 0.002).start == 2, "the first sample not before that time"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a1", "a1=", "a4=stuck", "a1=dead", "a1=stuck@", "a1=stuck@soon", "a1=zero@-1", "x1=zero@nan"]
+)
+def test_a_fault_that_is_none_is_refused_with_what_there_is(text):
+    with pytest.raises(AbraceError, match=r"expected CHANNEL=KIND.*x1, a1, w.*stuck, zero, noise"):
+        parse_fault(text, ("x1", "a1", "w"), 0.002)

@@ -31,7 +31,16 @@ class Actuator:
     integral_rate
         omega_i [1/s].
     velocity_feedback
-        c [N s/m].
+        c [N s/m]; c / tau is the stiffness of the oil column [N/m].
+    flow_limit
+        Greatest rate [N/s] at which the valve's flow changes the force with the end held: the oil column's stiffness
+        times the velocity without load.
+    stroke_limit
+        Travel to each side [m], at whose ends the piston meets the stops.
+    stop_stiffness
+        Of a stop and what stands in series with it [N/m].
+    command_delay
+        Between a command and the valve [s].
     """
 
     capacity: float
@@ -39,6 +48,10 @@ class Actuator:
     lag: float
     integral_rate: float
     velocity_feedback: float
+    flow_limit: float = np.inf
+    stroke_limit: float = np.inf
+    stop_stiffness: float = 0.0
+    command_delay: float = 0.0
 
     def bench_model(self) -> LinearModel:
         """U to f with the actuator's end held, as on the bench (Fig. 2)."""

@@ -1,4 +1,4 @@
-"""The frame: lumped floor masses, condensed stiffness, modes and modal damping.
+"""The frame: lumped floor masses, condensed stiffness and damping, and the ways in which people state them.
 
     M x'' + C x' + K x = -M 1 w + forces
 
@@ -11,10 +11,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import linalg
+
+from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+ALIKE = 0.2
+"""Greatest cosine, in the mass metric, between two measured mode shapes. The modes of a frame have 0; a modal test
+counts as good up to 0.1 (the orthogonality criterion of NASA-STD-5002); twice that is taken for a typing mistake."""
 
 
 @dataclass(frozen=True)
@@ -26,14 +31,15 @@ class Building:
     masses
         (floors,) [kg].
     stiffness
-        (floors, floors) [N/m], condensed to the floors, symmetric and positive definite.
-    damping_ratios
-        (floors,), of the bare frame's modes, slowest first.
+        (floors, floors) [N/m], condensed to the floors, symmetric and positive definite; see `shear_stiffness` and
+        `stiffness_of_modes`.
+    damping
+        (floors, floors) [N s/m], condensed to the floors, symmetric; see `modal_damping` and `rayleigh_damping`.
     """
 
     masses: NDArray[np.float64]
     stiffness: NDArray[np.float64]
-    damping_ratios: NDArray[np.float64]
+    damping: NDArray[np.float64]
 
     @property
     def floors(self) -> int:
@@ -42,11 +48,126 @@ class Building:
 
     def modes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Undamped frequencies (floors,) [rad/s], slowest first, and mass-normalised shapes (floors, modes)."""
-        eigenvalues, shapes = linalg.eigh(self.stiffness, np.diag(self.masses))
-        return np.sqrt(eigenvalues), shapes * np.sign(shapes[-1])
+        return _modes(self.masses, self.stiffness)
 
-    def damping(self) -> NDArray[np.float64]:
-        """Damping matrix (floors, floors) [N s/m] with the given ratio in each mode (Chopra, sec. 11.4.2)."""
+    @property
+    def damping_ratios(self) -> NDArray[np.float64]:
+        """(floors,) of the undamped modes, slowest first; what couples the modes is left out."""
         frequencies, shapes = self.modes()
-        weighted = self.masses[:, None] * shapes
-        return (weighted * (2 * self.damping_ratios * frequencies)) @ weighted.T
+        return np.asarray(np.einsum("im,ij,jm->m", shapes, self.damping, shapes) / (2 * frequencies))
+
+
+def shear_stiffness(storey_stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Stiffness (floors, floors) [N/m] of a shear building, each floor tied to its neighbours (Chopra, sec. 9.1).
+
+    Parameters
+    ----------
+    storey_stiffness
+        (floors,) [N/m]: force between the floors below and above a storey for each metre between them, lowest first.
+    """
+    above = np.append(storey_stiffness[1:], 0.0)
+    return np.diag(storey_stiffness + above) - np.diag(above[:-1], 1) - np.diag(above[:-1], -1)
+
+
+def stiffness_of_modes(
+    masses: NDArray[np.float64], frequencies: NDArray[np.float64], shapes: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Stiffness (floors, floors) [N/m] whose modes are given: K = M Phi W^2 Phi^T M (Chopra, sec. 10.7).
+
+    Measured shapes are never quite orthogonal. They are replaced by the orthonormal set nearest to them in the mass
+    metric, Phi S^(-1/2) with S = Phi^T M Phi (Loewdin 1950), which prefers none of them; the frequencies stay exact.
+
+    Parameters
+    ----------
+    masses
+        (floors,) [kg].
+    frequencies
+        (floors,) undamped [rad/s].
+    shapes
+        (floors, modes), as many as floors, of any scale.
+
+    Raises
+    ------
+    AbraceError
+        If two shapes are too alike to be modes of one frame (see `ALIKE`), or all together nearly dependent.
+    """
+    root = np.sqrt(masses)
+    weighted = root[:, None] * shapes
+    lengths = np.linalg.norm(weighted, axis=0)
+    if not lengths.all():
+        raise AbraceError(f"the shape of mode {np.argmin(lengths) + 1} is zero everywhere, expected a displacement")
+    weighted = weighted / lengths
+    metric = weighted.T @ weighted
+    cosines = np.abs(np.triu(metric, 1))
+    i, j = np.unravel_index(np.argmax(cosines), cosines.shape)
+    if cosines[i, j] > ALIKE:
+        raise AbraceError(
+            f"the shapes of modes {i + 1} and {j + 1} are too alike: {cosines[i, j]:.3g} is the cosine between them "
+            f"with these masses, expected at most {ALIKE} (modes of one frame have 0)"
+        )
+    values, vectors = np.linalg.eigh(metric)
+    if values[0] < ALIKE:  # pairs that pass can together still be dependent, of six modes or more
+        raise AbraceError(f"the shapes are nearly dependent: {values[0]:.3g}, expected at least {ALIKE} of 1")
+    orthonormal = weighted @ (vectors / np.sqrt(values)) @ vectors.T * frequencies
+    return np.asarray(np.outer(root, root) * (orthonormal @ orthonormal.T))
+
+
+def modal_damping(
+    masses: NDArray[np.float64], stiffness: NDArray[np.float64], ratios: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Damping matrix (floors, floors) [N s/m] with a given ratio in each mode (Chopra, sec. 11.4.2).
+
+    Parameters
+    ----------
+    masses, stiffness
+        As in `Building`.
+    ratios
+        (floors,), slowest mode first.
+    """
+    frequencies, shapes = _modes(masses, stiffness)
+    weighted = masses[:, None] * shapes
+    return np.asarray((weighted * (2 * ratios * frequencies)) @ weighted.T)
+
+
+def rayleigh_damping(
+    masses: NDArray[np.float64], stiffness: NDArray[np.float64], modes: tuple[int, int], ratios: tuple[float, float]
+) -> NDArray[np.float64]:
+    """Damping matrix (floors, floors) [N s/m], a0 M + a1 K, with a given ratio in two modes (Chopra, sec. 11.4.1).
+
+    Parameters
+    ----------
+    masses, stiffness
+        As in `Building`.
+    modes
+        Two different modes, 1 the slowest.
+    ratios
+        Of these two.
+
+    Raises
+    ------
+    AbraceError
+        If some mode is left without damping, or is damped critically, or the two have one frequency.
+    """
+    frequencies, _ = _modes(masses, stiffness)
+    two = frequencies[np.array(modes) - 1]
+    if np.ptp(two) < 1e-9 * two.max():
+        raise AbraceError(f"modes {modes[0]} and {modes[1]} have the same frequency, expected two different ones")
+    of_mass, of_stiffness = np.linalg.solve(np.column_stack([1 / two, two]) / 2, np.array(ratios))
+    every = (of_mass / frequencies + of_stiffness * frequencies) / 2
+    for i, ratio in enumerate(every):
+        if not 0 < ratio < 1:
+            listed = ", ".join(f"{value:.3g}" for value in every)
+            raise AbraceError(
+                f"mode {i + 1} gets a damping ratio of {ratio:.3g}, expected more than 0 and less than 1 in every mode "
+                f"(modes 1 to {len(every)} get {listed})"
+            )
+    return np.asarray(of_mass * np.diag(masses) + of_stiffness * stiffness)
+
+
+def _modes(
+    masses: NDArray[np.float64], stiffness: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    root = np.sqrt(masses)
+    eigenvalues, vectors = np.linalg.eigh(stiffness / np.outer(root, root))
+    shapes = vectors / root[:, None]
+    return np.sqrt(eigenvalues), shapes * np.where(shapes[-1] < 0, -1.0, 1.0)

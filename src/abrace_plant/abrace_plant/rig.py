@@ -1,4 +1,4 @@
-"""The rig as one linear model: building, braces with their actuators, local modes; and its stepping with saturation.
+"""The rig as one linear model: building, braces with their actuators, local modes; `rig_motion` steps it.
 
 States: floor displacements x, local modal displacements q, their velocities, and for each brace group the force f of
 one brace and the servo's integral g. Inputs: the table's acceleration w and the commands U. Outputs:
@@ -17,10 +17,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core import signals
+from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import discretize
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from numpy.typing import NDArray
 
     from abrace_plant.actuator import Actuator
@@ -44,6 +47,9 @@ class BraceGroup:
         Horizontal stiffness that the group's stiffeners add at its floor [N/m].
     actuator
         The actuator in each brace.
+    connected
+        Whether braces and stiffeners are bolted to the floor and the servo is on; a group that is not neither pushes
+        nor measures anything.
     """
 
     floor: int
@@ -51,6 +57,7 @@ class BraceGroup:
     cosine: float
     stiffener_stiffness: float
     actuator: Actuator
+    connected: bool = True
 
     def direction(self, floors: int) -> NDArray[np.float64]:
         """(floors,) 1 at the braces' floor, -1 at the floor below: x_floor - x_below."""
@@ -153,6 +160,23 @@ class Rig:
         """The same building without braces, stiffeners and local modes."""
         return replace(self, braces=(), local_modes=())
 
+    def disconnect(self, groups: Collection[int]) -> Rig:
+        """The same rig with some brace `groups` (the first is 1) taken off the building.
+
+        Raises
+        ------
+        AbraceError
+            If there is no such group.
+        """
+        unknown = [number for number in groups if not 1 <= number <= self.groups]
+        if unknown:
+            raise AbraceError(f"brace group {unknown[0]}: expected one of the rig's groups, 1 to {self.groups}")
+        braces = tuple(
+            replace(group, connected=group.connected and number not in groups)
+            for number, group in enumerate(self.braces, 1)
+        )
+        return replace(self, braces=braces)
+
     @cached_property
     def model(self) -> LinearModel:
         """The continuous model from [w, U] to z, exact and without sensors."""
@@ -160,12 +184,14 @@ class Rig:
         dofs = n + h
         mass = np.concatenate([self.building.masses, [mode.mass for mode in self.local_modes]])
         stiffness, damping = np.zeros((dofs, dofs)), np.zeros((dofs, dofs))
-        stiffness[:n, :n], damping[:n, :n] = self.building.stiffness, self.building.damping()
+        stiffness[:n, :n], damping[:n, :n] = self.building.stiffness, self.building.damping
         for i, mode in enumerate(self.local_modes):
             stiffness[n + i, n + i] = mode.mass * mode.frequency**2
             damping[n + i, n + i] = 2 * mode.damping_ratio * mode.frequency * mode.mass
         stroke = np.zeros((groups, dofs))
         for j, group in enumerate(self.braces):
+            if not group.connected:
+                continue
             direction = group.direction(n)
             stiffness[:n, :n] += group.stiffener_stiffness * np.outer(direction, direction)
             stroke[j, :n] = group.cosine * direction
@@ -174,6 +200,7 @@ class Rig:
         lag = np.array([group.actuator.lag for group in self.braces])
         integral = np.array([group.actuator.integral_rate for group in self.braces])
         feedback = np.array([group.actuator.velocity_feedback for group in self.braces])
+        connected = np.array([float(group.connected) for group in self.braces])
 
         states = 2 * dofs + 2 * groups
         x, v = slice(0, dofs), slice(dofs, 2 * dofs)
@@ -187,9 +214,9 @@ class Rig:
         a[f, v] = -(feedback / lag)[:, None] * stroke
         a[f, f] = -np.diag(1 / lag)
         a[f, g] = np.diag(integral / lag)
-        b[f, 1:] = np.diag(1 / lag)
+        b[f, 1:] = np.diag(connected / lag)
         a[g, f] = -np.eye(groups)
-        b[g, 1:] = np.eye(groups)
+        b[g, 1:] = np.diag(connected)
 
         seen = np.zeros((n, dofs))
         seen[:, :n] = np.eye(n)
@@ -205,57 +232,9 @@ class Rig:
         c[2 * n + groups :, f] = np.eye(groups)
         inputs = (signals.GROUND, *signals.command_names(groups)) if groups else (signals.GROUND,)
         outputs = signals.response_names(n, groups) if groups else tuple(f"{k}{i + 1}" for k in "xa" for i in range(n))
-        return LinearModel(a, b, c, d, inputs, outputs, provenance={"rig": self.name})
+        delay = (0.0, *(group.actuator.command_delay for group in self.braces))
+        return LinearModel(a, b, c, d, inputs, outputs, input_delay=delay, provenance={"rig": self.name})
 
     def discrete_model(self) -> LinearModel:
         """The exact discrete model at the rig's sample rate: commands held, ground acceleration linear in between."""
         return discretize(self.model, 1 / self.sample_rate, {signals.GROUND: "first"})
-
-
-class RigMotion:
-    """The rig moving sample by sample, saturated at its capacity.
-
-    Linear motion is exact. The force of an actuator at its capacity is cut there at each sample (a projection, whose
-    error falls with the sample period, with its first power once the period is well below the servo's lag).
-    """
-
-    def __init__(self, rig: Rig) -> None:
-        model = rig.discrete_model()
-        self._groups = rig.groups
-        self._capacity = rig.capacity
-        first_force = 2 * (rig.floors + len(rig.local_modes))
-        self._forces = slice(first_force, first_force + rig.groups)
-        states, inputs = model.order, len(model.inputs)
-        # one product gives the outputs at a sample and the state of the next: [y; x+] = F [x; w; U]
-        self._whole = np.vstack([np.hstack([model.c, model.d]), np.hstack([model.a, model.b])])
-        self._rows = len(model.outputs)
-        # the first-order hold's state of a force is the force less this much of the ground acceleration
-        self._ground_share = model.d[self._rows - rig.groups :, 0]
-        self._vector = np.zeros(states + inputs)
-        self._states = states
-        self._result = np.zeros(self._rows + states)
-
-    def outputs(self, ground_acceleration: float, command: NDArray[np.float64]) -> NDArray[np.float64]:
-        """z at this sample, whose ground acceleration is given; the command is in force from here on.
-
-        Parameters
-        ----------
-        ground_acceleration
-            At this instant [m/s^2].
-        command
-            (groups,) [N], held until the next sample.
-
-        Returns
-        -------
-        NDArray
-            The outputs in the order of the rig's model; valid until the next call.
-        """
-        vector = self._vector
-        share = self._ground_share * ground_acceleration
-        forces = vector[self._forces] + share
-        vector[self._forces] = np.minimum(np.maximum(forces, -self._capacity), self._capacity) - share
-        vector[self._states] = ground_acceleration
-        vector[self._states + 1 :] = np.minimum(np.maximum(command, -self._capacity), self._capacity)
-        np.dot(self._whole, vector, out=self._result)
-        vector[: self._states] = self._result[self._rows :]
-        return self._result[: self._rows]

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from abrace_core import signals
 from abrace_core.command_guard import CommandGuard
-from abrace_plant.rig import RigMotion
-from abrace_plant.sensors import Measurement
+from abrace_plant.rig_motion import RigMotion
+from abrace_plant.sensors import Measurement, parse_fault
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -101,7 +102,9 @@ class RigLoop:
         timeout = max(1, round(command_timeout * rig.sample_rate))
         limits = [rig.table.peak_acceleration], [rig.table.peak_jerk]
         self._motion = RigMotion(rig)
-        self._measurement = Measurement(rig.sensors.channels(rig.floors, rig.groups), seed)
+        self._channels = (*signals.response_names(rig.floors, rig.groups), signals.GROUND)
+        self._period = period
+        self._measurement = Measurement(rig.sensors.channels(rig.floors, rig.groups), seed, period)
         self._command = _Input(COMMAND, CommandGuard(rig.capacity, rig.rate_limit, period, RAMP_TIME), timeout)
         self._ground = _Input(GROUND, CommandGuard(*limits, period, RAMP_TIME), timeout)
         self._true = np.zeros(2 * rig.floors + 2 * rig.groups + 1)
@@ -114,6 +117,21 @@ class RigLoop:
     def take_ground_acceleration(self, sequence: int, acceleration: float) -> None:
         """A ground acceleration [m/s^2] has come, for the sample after `sequence`."""
         self._ground.take(sequence, [acceleration], self.sequence)
+
+    def kill_sensors(self, faults: Sequence[str]) -> None:
+        """These channels are dead and no others, each described as for `parse_fault`; a time counts from sample 0.
+
+        Parameters
+        ----------
+        faults
+            Such as `["a2=stuck", "x3=noise@20.0"]`.
+
+        Raises
+        ------
+        AbraceError
+            If one of them is none.
+        """
+        self._measurement.faults = tuple(parse_fault(text, self._channels, self._period) for text in faults)
 
     def answered(self, name: str) -> bool:
         """Whether the last sample has been answered on the topic `name`: `brace_command` or `ground_motion`."""

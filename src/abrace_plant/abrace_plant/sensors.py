@@ -1,13 +1,18 @@
-"""What stands between a quantity and its record: noise, range and quantisation."""
+"""What stands between a quantity and its record: bias, drift, noise, range, quantisation, and channels that die."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from abrace_core.errors import AbraceError
+
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
 BLOCK = 4096
@@ -26,11 +31,17 @@ class Sensor:
         Standard deviation of the white noise, in the channel's SI unit.
     bits
         Resolution of the converter over -range ... range.
+    bias
+        Constant error, in the channel's SI unit.
+    drift
+        Growth of the error [the channel's SI unit per second].
     """
 
     range: float
     noise: float
     bits: int
+    bias: float = 0.0
+    drift: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -54,27 +65,121 @@ class SensorSet:
         )
 
 
-class Measurement:
-    """Turns the true values of `channels` into readings, sample by sample; the same seed gives the same readings."""
+@dataclass(frozen=True)
+class SensorFault:
+    """A channel that dies.
 
-    def __init__(self, channels: list[Sensor], seed: int) -> None:
+    Parameters
+    ----------
+    channel
+        Position in the readings.
+    kind
+        "stuck": the reading before stays; "zero": nothing is read; "noise": an open input, white noise with a standard
+        deviation of a third of the range.
+    start
+        Sample from which on it is dead.
+    """
+
+    channel: int
+    kind: str
+    start: int
+
+
+FAULTS = ("stuck", "zero", "noise")
+"""What a dead channel may read."""
+
+
+def parse_fault(text: str, names: Sequence[str], sample_period: float) -> SensorFault:
+    """The fault that a text like `a2=stuck` or `x3=noise@20.0` describes: channel, kind, second at which it starts.
+
+    Parameters
+    ----------
+    text
+        What a person wrote.
+    names
+        The channels' names, in their order.
+    sample_period
+        [s].
+
+    Raises
+    ------
+    AbraceError
+        If there is no such channel or kind, or the time is no number of seconds.
+    """
+    channel, _, rest = text.partition("=")
+    kind, at, time = rest.partition("@")
+    start = 0.0
+    if at:
+        try:
+            start = float(time)
+        except ValueError:
+            start = math.nan
+    if channel not in names or kind not in FAULTS or not (math.isfinite(start) and start >= 0):
+        raise AbraceError(
+            f"sensor fault {text!r}: expected CHANNEL=KIND or CHANNEL=KIND@SECONDS, the channel out of "
+            f"{', '.join(names)}, the kind out of {', '.join(FAULTS)}"
+        )
+    return SensorFault(names.index(channel), kind, math.ceil(start / sample_period - 1e-9))
+
+
+class Measurement:
+    """Turns the true values of `channels` into readings, sample by sample; the same seed gives the same readings.
+
+    Parameters
+    ----------
+    channels
+        One sensor a channel.
+    seed
+        Of the noise.
+    sample_period
+        [s].
+    """
+
+    def __init__(self, channels: Sequence[Sensor], seed: int, sample_period: float) -> None:
         self._noise = np.array([channel.noise for channel in channels])
+        self._bias = np.array([channel.bias for channel in channels])
+        self._drift = np.array([channel.drift for channel in channels]) * sample_period
         self._limit = np.array([channel.range for channel in channels])
         self._step = np.array([channel.range / 2 ** (channel.bits - 1) for channel in channels])
         self._most = self._limit - self._step
         self._random = np.random.default_rng(seed)
-        self._block = np.empty((0, len(channels)))
+        self._open_inputs = np.random.default_rng((seed, 1))
+        self._errors = np.empty((0, len(channels)))
         self._next = 0
+        self._drawn = 0
+        self._last = np.zeros(len(channels))
+        self.faults: tuple[SensorFault, ...] = ()
+        """The channels that are dead, or will be; may be changed at any time."""
 
     def read(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Readings (channels,) of the true values (channels,)."""
-        if self._next == len(self._block):
-            self._block = self._random.standard_normal((BLOCK, len(self._noise))) * self._noise
+        """Readings (channels,) of the true `values` (channels,) at the next sample."""
+        if self._next == len(self._errors):
+            samples = self._drawn + np.arange(BLOCK)[:, None]
+            noise = self._random.standard_normal((BLOCK, len(self._noise))) * self._noise
+            self._errors = noise + (self._bias + samples * self._drift)
+            self._drawn += BLOCK
             self._next = 0
-        reading = values + self._block[self._next]
+        reading = values + self._errors[self._next]
         self._next += 1
-        np.clip(reading, -self._limit, self._most, out=reading)
+        if self.faults:
+            self._kill(reading)
+        np.minimum(reading, self._most, out=reading)
+        np.maximum(reading, -self._limit, out=reading)
         reading /= self._step
         np.rint(reading, out=reading)
         reading *= self._step
+        self._last = reading
         return reading
+
+    def _kill(self, reading: NDArray[np.float64]) -> None:
+        """Put what dead channels read in place of the values."""
+        sample = self._drawn - BLOCK + self._next - 1
+        for fault in self.faults:
+            if sample >= fault.start:
+                channel = fault.channel
+                if fault.kind == "stuck":
+                    reading[channel] = self._last[channel]
+                elif fault.kind == "zero":
+                    reading[channel] = 0.0
+                else:
+                    reading[channel] = self._limit[channel] / 3 * self._open_inputs.standard_normal()

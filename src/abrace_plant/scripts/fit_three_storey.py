@@ -22,7 +22,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from abrace_core.linear_model import pole_table
-from abrace_plant.building import Building
+from abrace_plant import published
+from abrace_plant.building import Building, modal_damping
 from abrace_plant.rig_file import load_rig
 
 if TYPE_CHECKING:
@@ -30,12 +31,9 @@ if TYPE_CHECKING:
 
 CONFIGURATION = Path(__file__).parents[1] / "config" / "ncree_three_storey.yaml"
 
-BARE_FREQUENCIES = np.array([6.673, 21.783, 37.506])
-BARE_DAMPING = np.array([0.0081, 0.0025, 0.0034])
-ZERO_COMMAND = [(7.363, 0.0138), (22.933, 0.0246), (37.966, 0.0132)]
-LOCAL_POLES = np.array([-0.696 + 56.549j, -0.532 + 105.277j, -8.263 + 134.815j])
-LOCAL = [(abs(pole), -pole.real / abs(pole)) for pole in LOCAL_POLES]
-FIRST_SHAPE = np.array([0.43, 0.79])
+BARE_FREQUENCIES, BARE_DAMPING = np.array(published.BARE).T
+ASKED = [*published.ZERO_COMMAND, *published.EXTRA]
+FIRST_SHAPE = np.round(published.SHAPE[:2], 2)
 
 STIFFNESS_GUESS = 1e6 * np.array(
     [[8.207, -5.45595, 0.88587], [-5.45595, 9.30189, -4.72601], [0.88587, -4.72601, 3.9891]]
@@ -53,15 +51,17 @@ def rig_of(start: Rig, unknowns: np.ndarray) -> Rig:
     _, shapes = np.linalg.eigh(STIFFNESS_GUESS / np.outer(root, root))
     shapes = shapes @ Rotation.from_rotvec(rotation).as_matrix()
     stiffness = (shapes * BARE_FREQUENCIES**2) @ shapes.T * np.outer(root, root)
+    stiffness = (stiffness + stiffness.T) / 2
+    damping = modal_damping(start.building.masses, stiffness, BARE_DAMPING * ratios[:3])
     group = start.braces[0]
     actuator = replace(group.actuator, velocity_feedback=1.744e4 * ratios[4], integral_rate=5.85 * ratios[5])
     modes = tuple(
-        replace(mode, frequency=LOCAL[i][0] * ratios[6 + i], damping_ratio=LOCAL[i][1] * ratios[9 + i])
-        for i, mode in enumerate(start.local_modes)
+        replace(mode, frequency=frequency * ratios[6 + i], damping_ratio=damping_ratio * ratios[9 + i])
+        for i, (mode, (frequency, damping_ratio)) in enumerate(zip(start.local_modes, published.EXTRA, strict=True))
     )
     return replace(
         start,
-        building=Building(start.building.masses, (stiffness + stiffness.T) / 2, BARE_DAMPING * ratios[:3]),
+        building=Building(start.building.masses, stiffness, damping),
         braces=(replace(group, stiffener_stiffness=1.167e6 * ratios[3], actuator=actuator),),
         local_modes=modes,
     )
@@ -70,7 +70,7 @@ def rig_of(start: Rig, unknowns: np.ndarray) -> Rig:
 def first_shape(rig: Rig) -> np.ndarray:
     """Floors 1 and 2 of the first mode with zero command, floor 3 at 1."""
     values, vectors = np.linalg.eig(rig.model.a)
-    first = np.argmin(np.abs(values - 1j * ZERO_COMMAND[0][0]))
+    first = np.argmin(np.abs(values - 1j * published.ZERO_COMMAND[0][0]))
     shape = vectors[: rig.floors, first]
     return (shape[:2] / shape[2]).real
 
@@ -83,7 +83,7 @@ def oscillating_poles(rig: Rig) -> list[tuple[float, float]]:
 def residuals(unknowns: np.ndarray, start: Rig) -> np.ndarray:
     """How far off the rig of these unknowns is, each entry over its tolerance."""
     rig = rig_of(start, unknowns)
-    found, asked = np.log(oscillating_poles(rig)), np.log(ZERO_COMMAND + LOCAL)
+    found, asked = np.log(oscillating_poles(rig)), np.log(ASKED)
     tolerance = np.array([[FREQUENCY_TOLERANCE, DAMPING_TOLERANCE]] * 3 + [[LOCAL_TOLERANCE] * 2] * 3)
     return np.concatenate(
         [
@@ -109,7 +109,7 @@ def main() -> None:
     for mode in rig.local_modes:
         print(f"local mode: frequency {mode.frequency:.9g}  damping_ratio {mode.damping_ratio:.9g}")
     print("zero command: found, asked (rad/s, damping ratio)")
-    for found, asked in zip(oscillating_poles(rig), ZERO_COMMAND + LOCAL, strict=True):
+    for found, asked in zip(oscillating_poles(rig), ASKED, strict=True):
         print(f"  {found[0]:9.4f} {found[1]:.5f}   {asked[0]:9.4f} {asked[1]:.5f}")
     print(f"first shape {first_shape(rig)}, asked {FIRST_SHAPE}")
 

@@ -30,7 +30,17 @@ from abrace_plant.schedule import LOOK_PERIOD, Schedule
 
 PARAMETERS = [
     Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
+    Parameter(
+        "disconnected_braces", [], "brace groups taken off the building (1 the first); all: bare frame", element=int
+    ),
     Parameter("seed", 0, "seed of the sensor noise", minimum=0),
+    Parameter(
+        "sensor_faults",
+        [],
+        "channels that are dead, as a2=stuck, x3=zero, f=noise@20.0 (from second 20 on)",
+        element=str,
+        live=True,
+    ),
     Parameter("duration", 0.0, "seconds to run, then end; 0: until stopped", minimum=0.0),
     Parameter("command_timeout", 0.02, "seconds that an input may stay away while it is not zero", minimum=0.002),
     Parameter("lockstep", False, "move on as soon as every input of wait_for has answered, not by the clock"),
@@ -49,6 +59,7 @@ class Plant(AbraceLifecycleNode):
     """Samples the simulated rig, by the clock or in lockstep with its inputs."""
 
     loop: RigLoop
+    pressed = False
 
     def __init__(self) -> None:
         super().__init__("plant", PARAMETERS)
@@ -56,7 +67,8 @@ class Plant(AbraceLifecycleNode):
     def configure(self) -> None:
         """Load the rig and make the topics."""
         given = self.parameters
-        self.rig = load_rig(find_file(given.rig, "abrace_plant", "config", ".yaml", "rig"))
+        rig = load_rig(find_file(given.rig, "abrace_plant", "config", ".yaml", "rig"))
+        self.rig = rig.disconnect(given.disconnected_braces)
         self.floors, self.groups = self.rig.floors, self.rig.groups
         self.response = self.publish_on(Response, "response", KEPT_STREAM_QOS)
         self.joint_states = self.create_publisher(JointState, "joint_states", 10)
@@ -77,6 +89,7 @@ class Plant(AbraceLifecycleNode):
         """Set the rig at rest, before sample 0."""
         given = self.parameters
         self.loop = RigLoop(self.rig, given.seed, given.command_timeout)
+        self.loop.kill_sensors(given.sensor_faults)
         start = 0 if given.lockstep else self.get_clock().now().nanoseconds
         self.schedule = Schedule(self.rig.sample_rate, start, time.monotonic(), given.duration)
         self.next_look = 0.0
@@ -111,6 +124,11 @@ class Plant(AbraceLifecycleNode):
                 f"no answer to sample {self.loop.sequence} on {', '.join(missing)} within "
                 f"{self.parameters.lockstep_timeout:g} s (lockstep_timeout)",
             )
+
+    def parameter_changed(self, name: str, value: list[str]) -> None:
+        """Channels die or come back, from the next sample on."""
+        if self.configured:
+            self.loop.kill_sensors(value)
 
     def take_sample(self) -> None:
         """Step the rig, publish its response, set when to wake next."""
@@ -181,17 +199,20 @@ class Plant(AbraceLifecycleNode):
                 self.take_sample()
 
     def on_emergency_stop(self, message: Bool) -> None:
-        """Someone pressed the button."""
-        if message.data:
+        """Someone pressed the button, or released it."""
+        self.pressed = message.data
+        if self.pressed:
             self.loop.fault("emergency stop")
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """A person clears the latched fault."""
         reason = self.loop.fault_reason
-        response.success = reason is not None
-        response.message = f"cleared: {reason}" if reason else "no fault"
-        if reason:
+        response.success = reason is not None and not self.pressed
+        if response.success:
+            response.message = f"cleared: {reason}"
             self.loop.clear_faults()
+        else:
+            response.message = "emergency stop is still pressed" if reason else "no fault"
         return response
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:

@@ -1,0 +1,142 @@
+"""Anybody's rig in the whole graph: every vector of every message takes its length from the rig file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+
+from abrace_core.bag import read_run, read_topics
+from abrace_core.controller_file import Controller, save_controller
+from abrace_core.node import find_file
+from abrace_interfaces.msg import Response
+from abrace_lqg.design import design
+from abrace_lqg.weights import load_weights
+from abrace_plant.rig_file import load_rig
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from abrace_plant.rig import Rig
+
+SECONDS = 6.0
+TOPICS = ("response", "brace_command", "ground_motion")
+RIGS = {"five_storey": (5, 2), "single_storey": (1, 1)}
+"""Floors and brace groups of each rig in the configuration beside the paper's."""
+
+
+def rig_named(name: str) -> Rig:
+    return load_rig(find_file(name, "abrace_plant", "config", ".yaml", "rig"))
+
+
+def record(graph: Any, rig: str, commander: str, *arguments: Path, **parameters: object) -> Path:
+    """A lockstep run of a rig with white noise on its table and a commander at its braces."""
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag), topics=list(TOPICS), facts=["sample_period=0.002"])
+    graph.start("plant", autostart=False, rig=rig, lockstep=True, wait_for=list(TOPICS[1:]), duration=SECONDS, seed=1)
+    graph.start("ground_motion", record="white_noise", duration=SECONDS)
+    graph.start(commander, *arguments, **parameters)
+    assert graph.change_state("plant", "configure")
+    graph.until_matched("plant", response=3, brace_command=1, ground_motion=1)
+    for name in (commander, "ground_motion", "logger"):
+        graph.until_matched(name, response=1)
+    graph.until_matched("logger", brace_command=1, ground_motion=1)
+    graph.may_end.add("plant")
+    assert graph.change_state("plant", "activate")
+    assert graph.ended("plant") == 0
+    for name in (commander, "ground_motion", "logger"):
+        assert graph.stop(name) == 0
+    return bag
+
+
+def expect_lengths(bag: Path, floors: int, groups: int) -> None:
+    response = read_topics(bag)
+    (recorded,) = (topic.fields for name, topic in response.items() if name.endswith("/response"))
+    for name in ("displacement", "acceleration"):
+        assert recorded[name].shape[1] == floors, name
+    for name in ("stroke", "force", "command"):
+        assert recorded[name].shape[1] == groups, name
+    (commands,) = (topic.fields for name, topic in response.items() if name.endswith("/brace_command"))
+    assert commands["force"].shape[1] == groups
+    run = read_run(bag)
+    assert (run.floors, run.groups) == (floors, groups)
+    assert not run.facts.get("warnings")
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_white_noise_shakes_and_drives_any_rig(graph, name):
+    capacity = rig_named(name).capacity
+    rms = 0.05 * float(capacity.min())
+    bag = record(graph, name, "excitation", duration=SECONDS, rms=rms, force_limit=capacity.tolist())
+    expect_lengths(bag, *RIGS[name])
+    run = read_run(bag)
+    assert (np.abs(run.command).max(axis=0) > rms).all(), "each group was driven"
+    assert (np.abs(run.outputs).max(axis=0) > 0).all()
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_a_controller_of_its_own_controls_any_rig(graph, name, tmp_path):
+    rig = rig_named(name)
+    weights = load_weights(find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights"))
+    measured = [f"a{floor + 1}" for floor in range(rig.floors)]
+    law = design(rig.model, weights.model_copy(update={"measured": measured}), 1 / rig.sample_rate).controller
+    file = tmp_path / "controller.yaml"
+    save_controller(Controller(name, law, rig.capacity, "the rig's own", "lqg3", "not needed here"), file)
+    bag = record(graph, name, "controller", "--params-file", file)
+    expect_lengths(bag, *RIGS[name])
+    assert (np.abs(read_run(bag).command).max(axis=0) > 0).all(), "each group is at work"
+
+
+def test_a_rig_with_its_braces_off_is_the_bare_frame(graph):
+    graph.start("plant", disconnected_braces=[1])
+    graph.start("excitation", duration=60.0, rms=2000.0)
+    responses = graph.listen(Response, "response")
+    graph.until(lambda: responses and abs(responses[-1].command[0]) > 1000, "commands")
+    sensors = rig_named("ncree_three_storey").sensors
+    assert max(abs(message.force[0]) for message in responses) < 6 * sensors.force.noise
+    assert max(abs(message.stroke[0]) for message in responses) < 6 * sensors.stroke.noise
+
+
+def set_faults(graph: Any, *faults: str) -> Any:
+    value = ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=list(faults))
+    request = SetParameters.Request(parameters=[Parameter(name="sensor_faults", value=value)])
+    return graph.call(SetParameters, "plant/set_parameters", request).results[0]
+
+
+def test_a_channel_dies_on_demand_and_comes_back(graph):
+    graph.start("plant")
+    responses = graph.listen(Response, "response")
+
+    def readings(count: int) -> np.ndarray:
+        first = len(responses) + 5
+        graph.until(lambda: len(responses) >= first + count, "samples")
+        return np.array([message.acceleration[1] for message in responses[first : first + count]])
+
+    graph.until(lambda: responses, "samples")
+    assert readings(50).std() > 0, "sensor noise"
+    assert set_faults(graph, "a2=stuck", "x1=zero").successful
+    assert readings(50).std() == 0
+    assert not any(message.displacement[0] for message in responses[-50:])
+    assert responses[-1].displacement[1] != 0 or responses[-2].displacement[1] != 0
+    answer = set_faults(graph, "a9=stuck")
+    assert not answer.successful
+    assert "expected CHANNEL=KIND" in answer.reason
+    assert readings(50).std() == 0, "what was in force stays"
+    assert set_faults(graph).successful
+    assert readings(50).std() > 0
+
+
+def test_wrong_faults_and_groups_end_the_node_with_one_line(new_graph: Callable):
+    for parameters, message in (
+        ({"sensor_faults": ["b2=stuck"]}, "sensor fault 'b2=stuck': expected CHANNEL=KIND"),
+        ({"disconnected_braces": [2]}, "brace group 2: expected one of the rig's groups, 1 to 1"),
+    ):
+        with new_graph() as graph:
+            graph.start("plant", **parameters)
+            assert graph.ended("plant") == 2
+            (line,) = graph.said("plant")
+            assert line.startswith(f"plant: {message}")
