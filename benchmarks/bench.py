@@ -1,8 +1,11 @@
 """Speed claims beside their peers, measured in one run: `make bench`. Writes results/bench.json and prints a table.
 
-lockstep  the demo's closed loop (plant, ground motion, controller, logger, each a process of its own) against a bare
-          echo of the same messages between two processes, measured just before and just after
-reading   the responses of that run's bag to arrays, against `rosbags`
+simulation     50 000 closed-loop steps, linear and saturated, against scipy's dlsim, python-control's forced_response
+               and a matrix-vector product a step
+plant_step_us  a sample of the simulated rig as the node `plant` takes it, against a round trip of the echo below
+lockstep       the demo's closed loop (plant, ground motion, controller, logger, each a process of its own) against a
+               bare echo of the same messages between two processes, measured just before and just after
+reading        the responses of that run's bag to arrays, against `rosbags`
 """
 
 from __future__ import annotations
@@ -13,11 +16,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from domain_coordinator import domain_id
 from rosbags.highlevel import AnyReader
+from simulation import simulation_speed
 
 from abrace_bringup.campaign import run_campaign
 from abrace_bringup.table import Table
@@ -28,9 +34,11 @@ from abrace_core.node import find_file
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
 from abrace_plant.rig_file import load_rig
+from abrace_plant.rig_loop import RigLoop
 
 HERE = Path(__file__).parent.resolve()
 ECHO_COUNT = 20_000
+PLANT_STEPS = 20_000
 SAMPLE_RATE = 500.0
 
 
@@ -67,6 +75,19 @@ def lockstep() -> dict[str, Any]:
     }
 
 
+def plant_step() -> float:
+    """Microseconds of a sample of a rig of 26 states, at its capacity and with sensor noise."""
+    rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
+    modes = tuple(replace(rig.local_modes[2], frequency=150.0 + 10 * number) for number in range(6))
+    loop = RigLoop(replace(rig, local_modes=rig.local_modes + modes), 1, 0.02)
+    forces = 1.2 * rig.capacity[0] * np.sin(0.05 * np.arange(PLANT_STEPS))
+    begin = time.perf_counter()
+    for sequence, force in enumerate(forces.tolist()):
+        loop.sample()
+        loop.take_command(sequence, [force])
+    return 1e6 * (time.perf_counter() - begin) / PLANT_STEPS
+
+
 def reading(bag: Path) -> dict[str, Any]:
     """Seconds to read the responses of a bag to arrays, and with rosbags."""
     begin = time.perf_counter()
@@ -81,30 +102,57 @@ def reading(bag: Path) -> dict[str, Any]:
     return {"samples": samples, "seconds": seconds, "rosbags_seconds": peer, "ratio_to_rosbags": peer / seconds}
 
 
+def simulation_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the table: both cases against each peer."""
+    rows = []
+    for case, asked in (("linear", "60"), ("saturated", "30")):
+        values = found[case]
+        title = f"50 000 closed-loop steps, {case}, ms"
+        for peer, ratio in (
+            ("scipy dlsim", "ratio_to_dlsim"),
+            ("control forced_response", "ratio_to_forced_response"),
+            ("matrix-vector product a step", "ratio_to_floor"),
+        ):
+            wanted = f"{asked} x" if ratio == "ratio_to_dlsim" else "-"
+            rows.append((title, f"{1e3 * values['seconds']:.2f}", wanted, peer, f"{values[ratio]:.1f}"))
+            title = ""
+    return rows
+
+
 def main() -> None:
     """Measure, write, print."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    found: dict[str, Any] = {"simulation": simulation_speed(), "plant_step_us": plant_step()}
     with tempfile.TemporaryDirectory() as folder, domain_id() as domain:
         os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
         here = Path.cwd()
         os.chdir(folder)
         try:
-            found_lockstep = lockstep()
+            found["lockstep"] = lockstep()
             (bag,) = Path("bags/bench").glob("*/closed_loop")
-            found_reading = reading(bag)
+            found["reading"] = reading(bag)
         finally:
             os.chdir(here)
-    write_text("results/bench.json", json.dumps({"lockstep": found_lockstep, "reading": found_reading}, indent=1))
-    one, two = found_lockstep, found_reading
-    echo = f"bare echo {one['echo_per_second']:.0f}/s"
+    write_text("results/bench.json", json.dumps(found, indent=1) + "\n")
+    loop, bags, step = found["lockstep"], found["reading"], found["plant_step_us"]
+    trip = 1e6 / loop["echo_per_second"]
+    echo = f"bare echo {loop['echo_per_second']:.0f}/s"
     rows = (
-        ("lockstep, x real time", f"{one['real_time_factor']:.2f}", "6", echo, f"{one['ratio_to_echo']:.2f}"),
+        *simulation_rows(found["simulation"]),
         (
-            f"reading {two['samples']} responses, s",
-            f"{two['seconds']:.2f}",
+            "a sample of the rig, us",
+            f"{step:.1f}",
+            f"{trip / 10:.1f}",
+            f"round trip {trip:.0f} us",
+            f"{trip / step:.1f}",
+        ),
+        ("lockstep, x real time", f"{loop['real_time_factor']:.2f}", "6", echo, f"{loop['ratio_to_echo']:.2f}"),
+        (
+            f"reading {bags['samples']} responses, s",
+            f"{bags['seconds']:.2f}",
             "-",
-            f"rosbags {two['rosbags_seconds']:.2f}",
-            f"{two['ratio_to_rosbags']:.1f}",
+            f"rosbags {bags['rosbags_seconds']:.2f}",
+            f"{bags['ratio_to_rosbags']:.1f}",
         ),
     )
     print(Table("Speed", ("claim", "reached", "asked", "peer", "ratio"), rows).text())

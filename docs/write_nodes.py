@@ -17,8 +17,8 @@ INTRODUCTION = """# Nodes
 Written by `python docs/write_nodes.py` from the tables in the nodes' source: what a node declares is what stands here.
 
 Every node publishes its state on `diagnostics` once a second. Topic names are relative: they can be remapped and put in
-a namespace. Parameters are read once, when the node starts; a wrong one ends the node with one line and exit code 2. A
-life cycle node moves something, and does so only while it is active.
+a namespace. A wrong parameter ends the node with one line and exit code 2. Parameters are read once, when the node
+starts, but for those marked *live*. A life cycle node moves something, and does so only while it is active.
 """
 
 NODES = {
@@ -27,6 +27,8 @@ NODES = {
         "`robot_description`, in lockstep `/clock`. Service `~/clear_fault` (std_srvs/Trigger).",
         "ground_motion": "Takes `response`, `emergency_stop`; publishes `ground_motion`. Action `play_ground_motion`.",
         "logger": "Takes the topics that it records.",
+        "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",
+        "characterize": "Offline: a rig measured as the paper measured its building, in numbers and drawn.",
     },
     "abrace_sysid": {
         "excitation": "Takes `response`, `emergency_stop`; publishes `brace_command`. Service `~/clear_fault`.",
@@ -58,7 +60,8 @@ def row(parameter: Parameter) -> str:
     allowed = ", ".join(f"`{choice}`" for choice in parameter.choices if choice)
     if parameter.minimum is not None:
         allowed = f"{parameter.minimum:g} or more" if parameter.maximum is None else f"to {parameter.maximum:g}"
-    return f"| `{parameter.name}` | {kind} | {default} | {allowed} | {parameter.description} |"
+    description = parameter.description + (" (*live*)" if parameter.live else "")
+    return f"| `{parameter.name}` | {kind} | {default} | {allowed} | {description} |"
 
 
 def page() -> str:

@@ -16,7 +16,7 @@ from abrace_core.simulation import simulate_closed_loop
 from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.margins import closed_loop_poles, margins
 from abrace_lqg.weights import load_weights
-from abrace_plant.ground_motion import prepare
+from abrace_plant.ground_motion import Treatment, prepare
 from abrace_plant.record_files import read_record
 from abrace_plant.rig_file import load_rig
 
@@ -66,7 +66,7 @@ def eight_states(rig: Rig) -> LinearModel:
 
 
 def table_1(rig: Rig, controller: LinearModel) -> dict[str, PeakRms]:
-    ground = prepare(read_record("el_centro"), rig.sample_rate, 0.980665, 100.0)
+    ground = prepare(read_record("el_centro"), rig.sample_rate, Treatment(peak_acceleration=0.980665, duration=100.0))
     outputs, commands = simulate_closed_loop(rig.discrete_model(), controller, ground, rig.capacity)
     names = (*rig.model.outputs, *controller.outputs)
     return in_paper_units(peak_rms_of(names, np.hstack([outputs, commands])))

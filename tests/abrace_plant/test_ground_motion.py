@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from abrace_core.errors import AbraceError
-from abrace_plant.ground_motion import TAPER, prepare
+from abrace_plant.ground_motion import BASELINES, FADE, Treatment, prepare, without_baseline
+from abrace_plant.intensity import integrate
 from abrace_plant.record_files import Record, read_record
 
 G = 9.80665
@@ -45,7 +46,7 @@ def test_record_at_the_rigs_rate_passes_bit_for_bit():
 def test_nothing_wraps_round_from_the_end_of_a_record_to_its_start():
     acceleration = np.zeros(3000)
     acceleration[-5:] = 1.0
-    motion = prepare(Record("late", 0.01, acceleration), 500.0, duration=60.0)
+    motion = prepare(Record("late", 0.01, acceleration), 500.0, Treatment(duration=60.0))
     assert np.abs(motion[:13_000]).max() == 0
     assert motion[14_980] > 0.5
 
@@ -61,7 +62,7 @@ def test_motion_at_a_recorded_instant_is_not_shifted():
 
 def test_band_limit_removes_what_is_above_and_keeps_what_is_well_below():
     kept, removed = (1.0, 5.0, 7.9), (10.5, 19.0)
-    motion = prepare(recorded(0.01, frequencies=kept + removed), 500.0, band_limit=10.0)
+    motion = prepare(recorded(0.01, frequencies=kept + removed), 500.0, Treatment(band_limit=10.0))
     exact = tones(np.arange(len(motion)) / 500.0, kept)
     assert np.abs(motion - exact).max() < 2e-5 * np.abs(exact).max()
 
@@ -69,7 +70,7 @@ def test_band_limit_removes_what_is_above_and_keeps_what_is_well_below():
 @pytest.mark.parametrize(("period", "rate"), [(0.02, 500.0), (0.002, 40.0), (0.01, 100.0)])
 def test_band_limit_beyond_what_the_record_or_the_rig_holds_changes_nothing(period, rate):
     record = recorded(period)
-    assert prepare(record, rate, band_limit=200.0).tobytes() == prepare(record, rate).tobytes()
+    assert prepare(record, rate, Treatment(band_limit=200.0)).tobytes() == prepare(record, rate).tobytes()
 
 
 def test_zero_duration_and_zero_peak_mean_the_whole_record_as_recorded():
@@ -82,13 +83,13 @@ def test_zero_duration_and_zero_peak_mean_the_whole_record_as_recorded():
 
 @pytest.mark.parametrize("duration", [0.0, 30.0, 100.0])
 def test_peak_of_the_played_motion_is_exactly_as_asked(duration):
-    motion = prepare(read_record("el_centro"), 500.0, 0.1 * G, duration)
+    motion = prepare(read_record("el_centro"), 500.0, Treatment(peak_acceleration=0.1 * G, duration=duration))
     assert np.abs(motion).max() == 0.1 * G
 
 
 def test_padded_motion_is_the_papers_100_s_and_ends_in_zeros():
     record = read_record("el_centro")
-    motion, whole = prepare(record, 500.0, duration=100.0), prepare(record, 500.0)
+    motion, whole = prepare(record, 500.0, Treatment(duration=100.0)), prepare(record, 500.0)
     assert motion.shape == (50_000,)
     np.testing.assert_array_equal(motion[: len(whole)], whole)
     assert not motion[len(whole) + 500 :].any()
@@ -96,8 +97,8 @@ def test_padded_motion_is_the_papers_100_s_and_ends_in_zeros():
 
 def test_cut_motion_is_the_longer_one_fading_out():
     record = read_record("el_centro")
-    whole, cut = prepare(record, 500.0, 1.0), prepare(record, 500.0, 1.0, duration=20.0)
-    fade = round(TAPER * 500)
+    whole, cut = (prepare(record, 500.0, Treatment(peak_acceleration=1.0, duration=length)) for length in (0.0, 20.0))
+    fade = round(FADE * 500)
     assert cut.shape == (10_000,)
     np.testing.assert_array_equal(cut[:-fade], whole[: 10_000 - fade])
     assert cut[-1] == 0
@@ -106,12 +107,12 @@ def test_cut_motion_is_the_longer_one_fading_out():
 
 def test_motion_cut_before_its_peak_keeps_the_scale_of_the_whole():
     record = read_record("el_centro")
-    assert np.abs(prepare(record, 500.0, 1.0, duration=1.5)).max() < 0.9
+    assert np.abs(prepare(record, 500.0, Treatment(peak_acceleration=1.0, duration=1.5))).max() < 0.9
 
 
 @pytest.mark.skipif(not KOBE.exists(), reason=f"the Kobe record is not the project's to ship; no {KOBE.name} beside it")
 def test_kobe_is_played_for_60_s_at_its_pga():
-    motion = prepare(read_record(KOBE), 500.0, 0.1 * G, 60.0)
+    motion = prepare(read_record(KOBE), 500.0, Treatment(peak_acceleration=0.1 * G, duration=60.0))
     assert motion.shape == (30_000,)
     assert np.abs(motion).max() == 0.1 * G
     assert np.abs(motion).argmax() / 500.0 == pytest.approx(8.52, abs=0.02)
@@ -127,30 +128,144 @@ def test_kobe_is_played_for_60_s_at_its_pga():
 )
 def test_any_motion_has_the_asked_length_stays_finite_and_within_its_peak(rate, period, peak, duration, seed):
     record = Record("noise", period, np.random.default_rng(seed).standard_normal(round(6 / period)))
-    motion = prepare(record, rate, peak, duration)
+    motion = prepare(record, rate, Treatment(peak_acceleration=peak, duration=duration))
     assert len(motion) == max(round(duration * rate), 1)
     assert np.isfinite(motion).all()
     assert np.abs(motion).max() <= peak
 
 
 @pytest.mark.parametrize(
+    ("rate", "message"),
+    [(0.0, "sample_rate 0.0, expected more than 0"), (float("nan"), "sample_rate nan"), (1e-3, "less than 5000 times")],
+)
+def test_bad_sample_rate_is_refused_with_what_was_expected(rate, message):
+    with pytest.raises(AbraceError, match=f"ground motion burst: .*{message}"):
+        prepare(recorded(0.02), rate)
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"sample_rate": 0.0}, "sample_rate 0.0, expected more than 0"),
-        ({"sample_rate": float("nan")}, "sample_rate nan"),
-        ({"peak_acceleration": -1.0}, "peak_acceleration -1.0, expected 0 or more"),
+        ({"peak_acceleration": -1.0}, "peak_acceleration -1.0: expected 0 or more"),
         ({"peak_acceleration": float("inf")}, "peak_acceleration inf"),
-        ({"duration": -0.1}, "duration -0.1, expected 0 or more"),
-        ({"duration": 1e-4}, "duration 0.0001 s, expected a sample or more"),
+        ({"duration": -0.1}, "duration -0.1: expected 0 or more"),
         ({"band_limit": -5.0}, "band_limit -5.0"),
-        ({"sample_rate": 1e-3}, "expected less than 5000 times"),
+        ({"low_cut": float("nan")}, "low_cut nan"),
+        ({"taper": -1.0}, "taper -1.0"),
+        ({"time_scale": 0.0}, "time_scale 0.0: expected more than 0"),
+        ({"baseline": "cubic"}, "baseline 'cubic': expected one of none, constant, linear, quadratic"),
+        ({"duration": 1e-4}, "burst: duration 0.0001 s, expected a sample or more"),
+        ({"taper": 20.0}, "burst: taper 20 s, expected at most half of the motion's 39.98 s"),
+        ({"taper": 15.0, "time_scale": 0.5}, "burst: taper 15 s, expected at most half of the motion's 19.99 s"),
+        ({"low_cut": 25.0}, "burst: low_cut 25 Hz, expected less than 25 Hz"),
+        ({"low_cut": 10.0, "band_limit": 8.0}, "burst: low_cut 10 Hz, expected less than 8 Hz"),
     ],
 )
-def test_bad_argument_is_refused_with_what_was_expected(arguments, message):
-    with pytest.raises(AbraceError, match=f"ground motion burst: .*{message}"):
-        prepare(recorded(0.02), **({"sample_rate": 500.0} | arguments))
+def test_bad_treatment_is_refused_with_what_was_expected(arguments, message):
+    with pytest.raises(AbraceError, match=f"ground motion {message}"):
+        prepare(recorded(0.02), 500.0, Treatment(**arguments))
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "message"),
+    [([0.0, np.nan, 1.0], "sample 2 is nan"), ([0.0, 1.0, np.inf], "sample 3 is inf"), ([1.0], "1 samples")],
+)
+def test_record_that_is_no_motion_is_refused(acceleration, message):
+    with pytest.raises(AbraceError, match=f"ground motion broken: {message}"):
+        prepare(Record("broken", 0.01, np.array(acceleration)), 500.0)
+
+
+@pytest.mark.parametrize("baseline", BASELINES)
+def test_record_of_zeros_stays_zero_and_of_two_samples_finite_under_every_treatment(baseline):
+    treatment = Treatment(baseline=baseline, low_cut=1.0, band_limit=20.0, taper=0.001)
+    assert not prepare(Record("still", 0.01, np.zeros(100)), 500.0, treatment).any()
+    short = prepare(Record("short", 0.01, np.array([1.0, -2.0])), 500.0, treatment)
+    assert len(short) == 6
+    assert np.isfinite(short).all()
 
 
 def test_record_of_zeros_cannot_be_scaled():
     with pytest.raises(AbraceError, match="zero throughout"):
-        prepare(Record("still", 0.01, np.zeros(100)), 500.0, 1.0)
+        prepare(Record("still", 0.01, np.zeros(100)), 500.0, Treatment(peak_acceleration=1.0))
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 256.0, 100 / 3])
+@pytest.mark.parametrize("phase", [0.0, 1.3])
+def test_every_sinusoid_of_the_pass_band_up_to_30_hz_is_resampled_within_1e_5(rate, phase):
+    time = np.arange(0, 24, 1 / rate)
+    highest = min(0.8 * rate / 2, 30.0)
+    for frequency in np.linspace(0.05, highest, 17):
+        motion = prepare(Record("sinusoid", 1 / rate, np.sin(2 * np.pi * frequency * time + phase)), 500.0)
+        moments = np.arange(len(motion)) / 500.0
+        inner = (moments > 6) & (moments < 18)
+        error = np.abs(motion - np.sin(2 * np.pi * frequency * moments + phase))[inner].max()
+        assert error < 1e-5, f"{frequency} Hz"
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    coefficients=st.lists(st.floats(-0.3, 0.3), min_size=1, max_size=3),
+    period=st.sampled_from([0.01, 0.004]),
+)
+def test_baseline_correction_takes_away_a_polynomial_of_its_degree_and_only_that(coefficients, period):
+    time = np.arange(0, 40, period)
+    polynomial = np.polynomial.polynomial.polyval(time / 40, coefficients)
+    baseline = tuple(BASELINES)[len(coefficients)]
+    clean = tones(time)
+    np.testing.assert_allclose(without_baseline(polynomial, period, baseline), 0, atol=1e-9)
+    without = without_baseline(clean, period, baseline)
+    np.testing.assert_allclose(without_baseline(clean + polynomial, period, baseline), without, atol=1e-9)
+    assert np.abs(without - clean).max() < 2e-3
+
+
+@pytest.mark.parametrize("baseline", ["constant", "linear", "quadratic"])
+def test_no_other_baseline_leaves_a_smaller_mean_square_velocity(baseline):
+    record = read_record("el_centro")
+    time = np.linspace(-1, 1, len(record.acceleration))
+    corrected = without_baseline(record.acceleration + 0.02 * time**3, record.sample_period, baseline)
+    velocity, _ = integrate(corrected, record.sample_period)
+    for degree in range(BASELINES[baseline]):
+        for size in (-1e-5, 1e-5):
+            other, _ = integrate(corrected + size * time**degree, record.sample_period)
+            assert np.mean(other**2) > np.mean(velocity**2), (degree, size)
+
+
+@pytest.mark.parametrize("scale", [0.5, 1 / np.sqrt(5), 2.0])
+def test_time_scaling_changes_the_time_and_not_the_acceleration(scale):
+    motion = prepare(recorded(0.005), 500.0, Treatment(time_scale=scale))
+    exact = tones(np.arange(len(motion)) / 500.0 / scale)
+    assert len(motion) / 500.0 == pytest.approx(40.0 * scale, abs=0.03)
+    assert np.abs(motion - exact).max() < 2e-4 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize(("frequency", "gain"), [(0.25, 1 / 257), (0.5, 0.5), (1.0, 256 / 257), (2.0, 65536 / 65537)])
+def test_low_cut_has_its_gain_and_no_shift_in_time(frequency, gain):
+    sinusoid = np.sin(2 * np.pi * frequency * np.arange(0, 200, 0.01) + 0.4)
+    motion = prepare(Record("sinusoid", 0.01, sinusoid), 100.0, Treatment(low_cut=0.5))
+    np.testing.assert_allclose(motion[6000:14000], gain * sinusoid[6000:14000], atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["el_centro", "loma_prieta", "san_fernando", "northridge_aftershock"])
+@pytest.mark.parametrize("taper", [0.0, 2.0])
+def test_low_cut_leaves_no_drift_in_velocity_and_displacement(name, taper):
+    record = read_record(name)
+    drifting = Record(name, record.sample_period, record.acceleration + 0.02)
+    motion = prepare(drifting, 500.0, Treatment(low_cut=0.1, taper=taper))
+    _, uncorrected = integrate(prepare(drifting, 500.0), 0.002)
+    velocity, displacement = integrate(motion, 0.002)
+    assert np.abs(uncorrected).max() > 3
+    assert abs(velocity[-1]) < 1e-4
+    assert np.abs(displacement).max() < 0.5
+    assert abs(displacement[-1]) < 0.05
+
+
+def test_taper_is_a_trapezoid_over_the_record():
+    record = Record("level", 0.01, np.ones(1001))
+    motion = prepare(record, 100.0, Treatment(taper=2.0, duration=12.0))
+    expected = np.interp(np.arange(1200) / 100, [0, 2, 8, 10], [0, 1, 1, 0])
+    np.testing.assert_allclose(motion, expected, atol=1e-12)
+
+
+def test_peak_is_met_exactly_after_every_treatment():
+    treatment = Treatment("quadratic", 0.5, 1.0, 0.2, 20.0, peak_acceleration=1.7)
+    assert np.abs(prepare(read_record("el_centro"), 500.0, treatment)).max() == 1.7

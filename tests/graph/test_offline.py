@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
+from rclpy.time import Time
 
 from abrace_bringup.processes import find_executable
 from abrace_core.bag import BagWriter, message_definition
@@ -32,6 +33,7 @@ def write_bag(path: Path, ground: np.ndarray, command: np.ndarray) -> Path:
             sample = loop.sample()
             x, xf, a, f, w = np.split(sample.reading, [3, 4, 7, 8])
             message = Response(sequence=k, ground_acceleration=float(w[0]))
+            message.header.stamp = Time(nanoseconds=2_000_000 * k).to_msg()
             message.displacement, message.stroke, message.acceleration, message.force = map(list, (x, xf, a, f))
             message.command = list(sample.command)
             bag.write(topic, serialize_message(message), 2_000_000 * k, 2_000_000 * k)
@@ -117,6 +119,12 @@ def test_bags_become_a_model_the_model_a_controller_and_both_are_compared(bags, 
         ("abrace_lqg", "design", {"model": "bad.json", "output": "o.yaml"}, "not JSON"),
         ("abrace_lqg", "design", {"model": "bad.json", "output": "o.txt"}, "ends in .yaml"),
         ("abrace_lqg", "design", {"model": "bad.json", "output": "o.yaml", "weights": "none"}, "weights 'none'"),
+        ("abrace_plant", "characterize", {"rig": "none", "output": "o"}, "rig 'none': unknown"),
+        ("abrace_plant", "characterize", {"rig": "no.yaml", "output": "o"}, "rig file no.yaml: no such file"),
+        ("abrace_plant", "record", {"output": "o"}, "parameter record"),
+        ("abrace_plant", "record", {"record": "kobe", "output": "o"}, "northridge_aftershock"),
+        ("abrace_plant", "record", {"record": "{check}", "output": "o"}, "ground_acceleration"),
+        ("abrace_plant", "record", {"record": "el_centro", "taper": "100.0", "output": "o"}, "taper"),
     ],
 )
 def test_wrong_input_gives_one_line_exit_code_2_and_writes_nothing(
@@ -130,3 +138,40 @@ def test_wrong_input_gives_one_line_exit_code_2_and_writes_nothing(
     assert expected in ended.stderr
     assert len(ended.stderr.splitlines()) == 1, ended.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["bad.json"]
+
+
+def test_a_rig_is_characterized_with_the_papers_numbers_beside(tmp_path):
+    ended = run_node("abrace_plant", "characterize", output=tmp_path / "rig")
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads((tmp_path / "rig/characteristics.json").read_text())
+    assert found["zero_command"][0] == pytest.approx([7.363, 0.0138], rel=0.05)
+    assert {row["paper"] for row in found["comparison"]} >= {6.673, 22.933, 37.966}
+    assert "antiresonance 1" in ended.stdout
+    assert (tmp_path / "rig/characteristics.png").stat().st_size > 10_000
+
+
+def test_a_record_is_measured_and_drawn_as_it_will_be_played(tmp_path):
+    ended = run_node("abrace_plant", "record", record="el_centro", peak_acceleration=0.980665, output=tmp_path / "out")
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads((tmp_path / "out/record.json").read_text())
+    assert found["played"]["peak_acceleration"] == pytest.approx(0.980665, rel=1e-12)
+    assert found["recorded"]["peak_acceleration"] == pytest.approx(0.281 * 9.80665, rel=0.01)
+    assert found["recorded"]["significant_duration"] == pytest.approx(24.2, abs=0.1)
+    for text in ("PGA", "PGV", "PGD", "Arias", "D5-95"):
+        assert text in ended.stdout
+    assert (tmp_path / "out/record.png").stat().st_size > 10_000
+
+
+def test_a_bags_table_motion_is_a_record(bags, tmp_path):
+    ended = run_node(
+        "abrace_plant",
+        "record",
+        record=bags["check"],
+        channel="response:ground_acceleration",
+        band_limit=0.0,
+        output=tmp_path / "out",
+    )
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads((tmp_path / "out/record.json").read_text())
+    assert found["recorded"]["samples"] == 5000
+    assert found["recorded"]["sample_period"] == pytest.approx(0.002)

@@ -27,7 +27,7 @@ from abrace_core.simulation import simulate
 from abrace_lqg.design import design
 from abrace_lqg.margins import Margins, closed_loop, closed_loop_poles, margins
 from abrace_lqg.weights import Weights
-from abrace_plant.ground_motion import prepare
+from abrace_plant.ground_motion import Treatment, prepare
 from abrace_plant.record_files import read_record
 from abrace_plant.rig_file import load_rig
 
@@ -110,7 +110,7 @@ def main() -> None:
     """Search, and print the weights with what they give."""
     rig = load_rig(RIG)
     plant = rig.discrete_model()
-    ground = prepare(read_record("el_centro"), rig.sample_rate, 0.1 * G, 100.0)
+    ground = prepare(read_record("el_centro"), rig.sample_rate, Treatment(peak_acceleration=0.1 * G, duration=100.0))
 
     def criterion(unknowns: NDArray[np.float64]) -> float:
         try:

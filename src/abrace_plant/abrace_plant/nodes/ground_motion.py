@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,22 +20,17 @@ from abrace_core.wire import Responses, pack_acceleration
 from abrace_interfaces.action import PlayGroundMotion
 from abrace_interfaces.msg import Response
 from abrace_plant.ground_motion import prepare
+from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS, read_as_given, treatment_as_given
 from abrace_plant.playback import Playback
-from abrace_plant.record_files import read_record
 
 WHITE_NOISE = "white_noise"
 FEEDBACK_EVERY = 50
 """Samples between feedback messages: ten a second at 500 Hz."""
 
 PARAMETERS = [
-    Parameter("sample_rate", 500.0, "Hz, of the rig", minimum=1.0),
     Parameter("record", "", "plays at once: a known name, white_noise, or a file; empty: wait for the action"),
-    Parameter("unit", "", "of a file that does not say it", choices=("", "g", "m/s^2", "cm/s^2")),
-    Parameter("record_sample_period", 0.0, "s, of a one-column file", minimum=0.0),
-    Parameter("peak_acceleration", 0.0, "m/s^2 that a record is scaled to; 0: as recorded", minimum=0.0),
-    Parameter("duration", 0.0, "s that a record is padded or cut to, or length of noise; 0: whole", minimum=0.0),
-    Parameter("band_limit", 25.0, "Hz, above which a record is cut off; 0: not at all", minimum=0.0),
-    Parameter("rms", 0.25, "m/s^2, of white noise", minimum=0.0),
+    *RECORD_PARAMETERS,
+    Parameter("rms", 0.25, "m/s^2, of white noise, which lasts duration", minimum=0.0),
     Parameter("band", [0.0, 10.0], "Hz, of white noise", minimum=0.0),
     Parameter("seed", 1, "of white noise", minimum=0),
 ]
@@ -85,8 +81,8 @@ class GroundMotion(AbraceLifecycleNode):
         """The ground motion (samples,) [m/s^2] at the rig's sample rate."""
         given = self.parameters
         if record != WHITE_NOISE:
-            source = read_record(record, given.unit or None, given.record_sample_period or None)
-            return prepare(source, given.sample_rate, peak_acceleration, duration, given.band_limit)
+            treatment = replace(treatment_as_given(given), peak_acceleration=peak_acceleration, duration=duration)
+            return prepare(read_as_given(record, given), given.sample_rate, treatment)
         if duration == 0:
             raise AbraceError("parameter duration: 0.0, expected the length of the white noise in seconds")
         if len(given.band) != 2:

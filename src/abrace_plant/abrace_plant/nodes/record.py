@@ -1,0 +1,101 @@
+"""The node `record`: a record's intensity measures and response spectra, as read and as it would be played."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from abrace_core.drawing import save_figure
+from abrace_core.errors import AbraceError
+from abrace_core.files import write_text
+from abrace_core.node import AbraceNode, Parameter, run
+from abrace_plant.ground_motion import prepare
+from abrace_plant.intensity import STANDARD_GRAVITY, Intensity, intensity
+from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS, read_as_given, treatment_as_given
+from abrace_plant.record_figure import Motion, record_figure
+from abrace_plant.record_files import Record
+from abrace_plant.response_spectrum import response_spectrum
+
+FOLDER = Path("results/records")
+
+PARAMETERS = [
+    Parameter("record", "", "a known name or a file", required=True),
+    *RECORD_PARAMETERS,
+    Parameter("output", "", f"folder for record.png and record.json; empty: {FOLDER}/NAME"),
+]
+
+
+class ShowRecord(AbraceNode):
+    """Measures and draws one record and ends."""
+
+    def __init__(self) -> None:
+        super().__init__("record", PARAMETERS)
+
+    def work(self) -> None:
+        """Read, treat, measure, print, draw, write."""
+        given = self.parameters
+        record = read_as_given(given.record, given)
+        treatment = treatment_as_given(given)
+        motion = Record(record.name, 1 / given.sample_rate, prepare(record, given.sample_rate, treatment))
+        if len(motion.acceleration) < 2:
+            raise AbraceError(f"parameter duration: {given.duration}, expected two samples or more")
+        recorded, played = ((each, intensity(each), response_spectrum(each)) for each in (record, motion))
+        print(_table(recorded, played))
+        output = Path(given.output) if given.output else FOLDER / record.name
+        facts = {
+            "record": record.name,
+            "treatment": {"sample_rate": given.sample_rate, **asdict(treatment)},
+            "recorded": _facts(recorded),
+            "played": _facts(played),
+        }
+        write_text(output / "record.json", json.dumps(facts, indent=1))
+        save_figure(record_figure(recorded, played), output / "record.png")
+        print(f"wrote {output}")
+
+
+def _table(recorded: Motion, played: Motion) -> str:
+    """The measures of both motions, a row each."""
+    columns = [_rows(record, measures) for record, measures, _ in (recorded, played)]
+    lines = [f"{recorded[0].name:<24}{'as read':>12}{'as played':>12}"]
+    lines += [f"{name:<24}{value:12.4f}{columns[1][name]:12.4f}" for name, value in columns[0].items()]
+    return "\n".join(lines)
+
+
+def _rows(record: Record, measures: Intensity) -> dict[str, float]:
+    return {
+        "PGA [m/s^2]": measures.peak_acceleration,
+        "PGA [g]": measures.peak_acceleration / STANDARD_GRAVITY,
+        "PGV [m/s]": measures.peak_velocity,
+        "PGD [m]": measures.peak_displacement,
+        "Arias intensity [m/s]": measures.arias_intensity,
+        "CAV [m/s]": measures.cumulative_absolute_velocity,
+        "D5-95 [s]": measures.significant_duration,
+        "sample period [s]": record.sample_period,
+        "duration [s]": len(record.acceleration) * record.sample_period,
+    }
+
+
+def _facts(motion: Motion) -> dict[str, Any]:
+    """A motion's measures and spectra for the JSON file, in SI units."""
+    record, measures, spectrum = motion
+    return {
+        "sample_period": record.sample_period,
+        "samples": len(record.acceleration),
+        "duration": len(record.acceleration) * record.sample_period,
+        **asdict(measures),
+        "significant_duration": measures.significant_duration,
+        "spectra": {
+            "periods": spectrum.periods.tolist(),
+            "damping_ratios": spectrum.damping_ratios.tolist(),
+            "displacement": spectrum.displacement.tolist(),
+            "velocity": spectrum.velocity.tolist(),
+            "pseudo_acceleration": spectrum.pseudo_acceleration.tolist(),
+        },
+    }
+
+
+def main() -> int:
+    """Entry point."""
+    return run(ShowRecord)
