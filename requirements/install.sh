@@ -18,6 +18,8 @@ command -v "$python" > /dev/null || fail "no $python was found; Python 3.11 or n
   fail "$python has no C headers; install them (Debian and Ubuntu: python3-dev)"
 command -v "${CXX:-c++}" > /dev/null || command -v g++ > /dev/null || fail "no C++ compiler was found; install one (Debian and Ubuntu: g++)"
 
+# the interpreter itself: `python3` may be that of the .venv that is about to be made anew
+python=$("$python" -c 'import os, sys; print(os.path.realpath(sys.executable))')
 stamp=.venv/.installed
 rm -rf .venv
 if [ -n "${ROS_DISTRO:-}" ]; then

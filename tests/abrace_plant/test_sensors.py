@@ -122,3 +122,21 @@ def test_faults_are_described_by_channel_kind_and_time():
 def test_a_fault_that_is_none_is_refused_with_what_there_is(text):
     with pytest.raises(AbraceError, match=r"expected CHANNEL=KIND.*x1, a1, w.*stuck, zero, noise"):
         parse_fault(text, ("x1", "a1", "w"), 0.002)
+
+
+def test_a_whole_record_reads_as_sample_after_sample():
+    channels = [
+        Sensor(range=1.0, noise=0.05, bits=12, bias=0.1, drift=0.01),
+        *[Sensor(range=0.5, noise=0.02, bits=10)] * 3,
+    ]
+    values = np.random.default_rng(0).normal(0.0, 0.3, (BLOCK + 500, 4))
+    one, other = (Measurement(channels, seed=4, sample_period=0.002) for _ in range(2))
+    for measurement in (one, other):
+        measurement.faults = (
+            SensorFault(1, "stuck", 70),
+            SensorFault(2, "zero", BLOCK + 3),
+            SensorFault(3, "noise", 9),
+        )
+    expected = np.array([one.read(row) for row in values])
+    parts = np.split(values, [40, 71, 2000])
+    np.testing.assert_array_equal(np.vstack([other.record(part) for part in parts]), expected)

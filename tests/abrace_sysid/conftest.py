@@ -30,7 +30,7 @@ class Laboratory:
     def _run(self, source, outputs, ground, command_until):
         channels = self.rig.sensors.channels(self.rig.floors, self.rig.groups)
         sensors = Measurement(channels, self.seed, self.model.sample_period)
-        readings = np.array([sensors.read(row) for row in np.column_stack([outputs, ground])])
+        readings = sensors.record(np.column_stack([outputs, ground]))
         sequence = np.arange(len(ground), dtype=np.uint64)
         period = self.model.sample_period
         shape = (self.rig.floors, self.rig.groups)

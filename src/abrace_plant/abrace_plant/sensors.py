@@ -154,32 +154,57 @@ class Measurement:
     def read(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Readings (channels,) of the true `values` (channels,) at the next sample."""
         if self._next == len(self._errors):
-            samples = self._drawn + np.arange(BLOCK)[:, None]
-            noise = self._random.standard_normal((BLOCK, len(self._noise))) * self._noise
-            self._errors = noise + (self._bias + samples * self._drift)
-            self._drawn += BLOCK
-            self._next = 0
+            self._draw()
         reading = values + self._errors[self._next]
-        self._next += 1
         if self.faults:
-            self._kill(reading)
-        np.minimum(reading, self._most, out=reading)
-        np.maximum(reading, -self._limit, out=reading)
-        reading /= self._step
-        np.rint(reading, out=reading)
-        reading *= self._step
+            self._kill(reading[None], self._drawn - BLOCK + self._next)
+        self._next += 1
+        self._convert(reading)
         self._last = reading
         return reading
 
-    def _kill(self, reading: NDArray[np.float64]) -> None:
-        """Put what dead channels read in place of the values."""
-        sample = self._drawn - BLOCK + self._next - 1
+    def record(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Readings (samples, channels) of the true `values` (samples, channels) at the next samples, all at once."""
+        readings = np.array(values, dtype=np.float64)
+        done = 0
+        while done < len(readings):
+            if self._next == len(self._errors):
+                self._draw()
+            block = readings[done : done + len(self._errors) - self._next]
+            block += self._errors[self._next : self._next + len(block)]
+            if self.faults:
+                self._kill(block, self._drawn - BLOCK + self._next)
+            self._convert(block)
+            self._next += len(block)
+            self._last = block[-1]
+            done += len(block)
+        return readings
+
+    def _draw(self) -> None:
+        """The errors of the next block of samples."""
+        samples = self._drawn + np.arange(BLOCK)[:, None]
+        noise = self._random.standard_normal((BLOCK, len(self._noise))) * self._noise
+        self._errors = noise + (self._bias + samples * self._drift)
+        self._drawn += BLOCK
+        self._next = 0
+
+    def _kill(self, readings: NDArray[np.float64], first: int) -> None:
+        """Put what dead channels read in place of the values (samples, channels), from sample number `first` on."""
         for fault in self.faults:
-            if sample >= fault.start:
-                channel = fault.channel
-                if fault.kind == "stuck":
-                    reading[channel] = self._last[channel]
-                elif fault.kind == "zero":
-                    reading[channel] = 0.0
-                else:
-                    reading[channel] = self._limit[channel] / 3 * self._open_inputs.standard_normal()
+            channel, dead = fault.channel, readings[max(fault.start - first, 0) :, fault.channel]
+            if not len(dead):
+                continue
+            if fault.kind == "stuck":
+                dead[:] = readings[fault.start - first - 1, channel] if fault.start > first else self._last[channel]
+            elif fault.kind == "zero":
+                dead[:] = 0.0
+            else:
+                dead[:] = self._limit[channel] / 3 * self._open_inputs.standard_normal(len(dead))
+
+    def _convert(self, readings: NDArray[np.float64]) -> None:
+        """Clip to the range and round to the converter's steps, in place."""
+        np.minimum(readings, self._most, out=readings)
+        np.maximum(readings, -self._limit, out=readings)
+        readings /= self._step
+        np.rint(readings, out=readings)
+        readings *= self._step
