@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import eqsig
 import numpy as np
 
 from abrace_bringup.table import Table
@@ -19,6 +20,10 @@ from abrace_core.files import write_text
 from abrace_core.node import find_file
 from abrace_plant import published
 from abrace_plant.characteristics import characterize
+from abrace_plant.ground_motion import prepare
+from abrace_plant.intensity import STANDARD_GRAVITY, intensity
+from abrace_plant.record_files import Record, read_record
+from abrace_plant.response_spectrum import response_spectrum
 from abrace_plant.rig_file import load_rig
 from abrace_plant.rig_motion import RigMotion
 
@@ -111,10 +116,49 @@ def verify_rig() -> tuple[dict[str, Any], list[Claim]]:
     return values, claims
 
 
+def resampling_error() -> float:
+    """Worst departure of a resampled sinusoid from itself, of its amplitude, up to 30 Hz and 0.8 of half the rate."""
+    worst_error = 0.0
+    for rate in (100 / 3, 50.0, 100.0, 200.0, 256.0):
+        for frequency in np.linspace(0.5, min(30.0, 0.4 * rate), 12):
+            samples = round(20 * rate)
+            record = Record("sine", 1 / rate, np.sin(2 * np.pi * frequency * np.arange(samples) / rate))
+            motion = prepare(record, 500.0)
+            exact = np.sin(2 * np.pi * frequency * np.arange(len(motion)) / 500.0)
+            # half a second at each end, where the sinusoid begins and ends, is no matter of the pass band
+            inside = slice(1500, len(motion) - 1500)
+            worst_error = max(worst_error, float(np.abs(motion - exact)[inside].max()))
+    return worst_error
+
+
+def verify_records() -> tuple[dict[str, Any], list[Claim]]:
+    """Resampling, and the measures and spectra of El Centro beside those of eqsig."""
+    record = read_record("el_centro")
+    peer = eqsig.AccSignal(record.acceleration, record.sample_period)
+    periods = np.geomspace(40 * record.sample_period, 5.0, 60)
+    peer.generate_response_spectrum(response_times=periods, xi=0.05)
+    spectrum = response_spectrum(record, periods, (0.05,))
+    ours = intensity(record)
+    arias = float(eqsig.im.calc_arias_intensity(peer)[-1]) * 9.81 / STANDARD_GRAVITY
+    values = {
+        "resampling_error": resampling_error(),
+        "spectrum_difference": float(np.abs(spectrum.displacement[0] / peer.s_d - 1).max()),
+        "arias_difference": abs(ours.arias_intensity / arias - 1),
+    }
+    claims = [
+        Claim("resampling to 500 Hz, sinusoids below 30 Hz", values["resampling_error"], 1e-5, "the sinusoids"),
+        Claim("response spectrum, El Centro, 5 %", values["spectrum_difference"], 1e-6, "eqsig"),
+        Claim("Arias intensity, El Centro", values["arias_difference"], 1e-9, "eqsig"),
+    ]
+    return values, claims
+
+
 def main() -> int:
     """Measure, write, print."""
     rig, claims = verify_rig()
-    write_text(RESULTS, json.dumps({"rig": rig}, indent=1) + "\n")
+    records, more = verify_records()
+    claims += more
+    write_text(RESULTS, json.dumps({"rig": rig, "records": records}, indent=1) + "\n")
     rows = tuple(
         (
             claim.name,
