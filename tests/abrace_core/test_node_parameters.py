@@ -108,12 +108,14 @@ def test_a_running_node_changes_none(node):
         ("rig", "", "a text, not empty"),
         ("rig", 5, "a text"),
         ("unit", "ft", "out of an empty text, g, m/s^2"),
-        ("band", 10.0, "a list like [3.0], at least 0.0"),
+        ("band", -10.0, "a list like [3.0], at least 0.0"),
+        ("band", "10", "a list like [3.0], at least 0.0"),
         ("band", [0, 10], "a list like [3.0]"),
         ("band", [0.0, -1.0], "at least 0.0"),
         ("band", [0.0, math.nan], "at least 0.0"),
         ("inputs", ["table", "wind"], "out of table, braces"),
-        ("inputs", "table", "a list like [text]"),
+        ("inputs", "wind", "out of table, braces"),
+        ("inputs", 3.0, "a list like [text]"),
         ("matrix", [math.inf], "a list like [3.0]"),
         ("matrix", [math.nan], "a list like [3.0]"),
     ],
@@ -121,6 +123,13 @@ def test_a_running_node_changes_none(node):
 def test_a_value_that_does_not_fit_is_refused_with_what_was_expected(node, name, value, expected):
     with pytest.raises(AbraceError, match=rf"^parameter {name}: .*expected .*{re.escape(expected)}"):
         declare(node(**{name: value}), TABLE)
+
+
+def test_one_value_where_a_list_is_meant_is_a_list_of_one(node):
+    rig = node(band=10.0, inputs="braces")
+    values = declare(rig, TABLE)
+    assert (values.band, values.inputs) == ([10.0], ["braces"])
+    assert list(rig.get_parameter("band").value) == [10.0]
 
 
 def test_an_unknown_name_is_refused_with_those_that_there_are(node):

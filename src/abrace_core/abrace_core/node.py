@@ -165,17 +165,19 @@ class Parameter:
         return descriptor
 
     def check(self, given: RosParameter) -> Any:
-        """The value given, if it is one that the node can use.
+        """The value given, if it is one that the node can use; one value where a list is meant is a list of one.
 
         Raises
         ------
         AbraceError
             If it has another type or is out of range.
         """
-        value = given.value
+        value, fits = given.value, given.type_ == self.ros_type
+        if isinstance(self.default, list) and given.type_ == _TYPES[self._element]:
+            value, fits = [value], True
         empty_list = isinstance(self.default, list) and given.type_ == RosParameter.Type.BYTE_ARRAY and not value
-        if not (given.type_ == self.ros_type or empty_list) or not self.holds(value):
-            raise AbraceError(f"parameter {self.name}: {value!r}, expected {self.expected()}")
+        if not (fits or empty_list) or not self.holds(value):
+            raise AbraceError(f"parameter {self.name}: {given.value!r}, expected {self.expected()}")
         return list(value) if isinstance(value, (list, tuple, array)) else value
 
     def holds(self, value: Any) -> bool:
@@ -209,7 +211,7 @@ def declare(node: Node, table: Sequence[Parameter]) -> SimpleNamespace:
         value = parameter.check(given.get(parameter.name) or RosParameter(parameter.name, value=parameter.default))
         ros_value = RosParameter(parameter.name, parameter.ros_type, value).value
         try:
-            node.declare_parameter(parameter.name, ros_value, parameter.descriptor())
+            node.declare_parameter(parameter.name, ros_value, parameter.descriptor(), ignore_override=True)
         except InvalidParameterException as error:
             raise AbraceError(f"parameter {parameter.name}: {value!r}, expected {parameter.expected()}") from error
         setattr(values, parameter.name, value)

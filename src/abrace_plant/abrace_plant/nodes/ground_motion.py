@@ -1,4 +1,4 @@
-"""The node `ground_motion`: plays a record or white noise on the table, one value for each sample of the rig."""
+"""The node `ground_motion`: plays a record, white noise or a multisine, one value for each sample of the rig."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from rclpy.action.server import ServerGoalHandle
 from std_msgs.msg import Bool
 
 from abrace_core.errors import AbraceError
+from abrace_core.multisine import LINES, repeated_multisine
 from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, AbraceLifecycleNode, Parameter, run
 from abrace_core.noise import banded_noise
 from abrace_core.sample_watch import SampleWatch
@@ -23,16 +24,21 @@ from abrace_plant.ground_motion import prepare
 from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS, read_as_given, treatment_as_given
 from abrace_plant.playback import Playback
 
-WHITE_NOISE = "white_noise"
+WHITE_NOISE, MULTISINE = "white_noise", "multisine"
 FEEDBACK_EVERY = 50
 """Samples between feedback messages: ten a second at 500 Hz."""
 
 PARAMETERS = [
-    Parameter("record", "", "plays at once: a known name, white_noise, or a file; empty: wait for the action"),
+    Parameter(
+        "record", "", "plays at once: a known name, white_noise, multisine, or a file; empty: wait for the action"
+    ),
     *RECORD_PARAMETERS,
-    Parameter("rms", 0.25, "m/s^2, of white noise, which lasts duration", minimum=0.0),
-    Parameter("band", [0.0, 10.0], "Hz, of white noise", minimum=0.0),
-    Parameter("seed", 1, "of white noise", minimum=0),
+    Parameter("rms", 0.25, "m/s^2, of white noise or a multisine, which last duration", minimum=0.0),
+    Parameter("band", [0.0, 10.0], "Hz, of white noise or a multisine", minimum=0.0),
+    Parameter("seed", 1, "of white noise or a multisine", minimum=0),
+    Parameter("period", 32.768, "s, of a multisine, of which as many whole periods as fit are played", minimum=0.01),
+    Parameter("lines", "odd", "of a multisine; orthogonal to a command on other lines", choices=LINES),
+    Parameter("slope", 0.0, "of a multisine: amplitudes go with frequency to this power"),
 ]
 
 
@@ -80,17 +86,19 @@ class GroundMotion(AbraceLifecycleNode):
     def motion(self, record: str, peak_acceleration: float, duration: float) -> np.ndarray:
         """The ground motion (samples,) [m/s^2] at the rig's sample rate."""
         given = self.parameters
-        if record != WHITE_NOISE:
+        if record not in (WHITE_NOISE, MULTISINE):
             treatment = replace(treatment_as_given(given), peak_acceleration=peak_acceleration, duration=duration)
             return prepare(read_as_given(record, given), given.sample_rate, treatment)
         if duration == 0:
-            raise AbraceError("parameter duration: 0.0, expected the length of the white noise in seconds")
+            raise AbraceError(f"parameter duration: 0.0, expected the length of the {record} in seconds")
         if len(given.band) != 2:
             raise AbraceError(f"parameter band: {given.band}, expected two frequencies in Hz")
-        noise = banded_noise(
-            round(duration * given.sample_rate), given.sample_rate, tuple(given.band), given.rms, given.seed
-        )
-        return noise * (peak_acceleration / np.abs(noise).max()) if peak_acceleration else noise
+        rate, band, rms, seed = given.sample_rate, (given.band[0], given.band[1]), given.rms, given.seed
+        if record == WHITE_NOISE:
+            motion = banded_noise(round(duration * rate), rate, band, rms, seed)
+        else:
+            motion = repeated_multisine(duration, given.period, rate, band, rms, seed, given.lines, given.slope)
+        return motion * (peak_acceleration / np.abs(motion).max()) if peak_acceleration else motion
 
     def activate(self) -> None:
         """Answer from the next sample on; the record of the parameters begins with it, unless the table still moves."""
