@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from abrace_core.multisine import repeated_multisine
 from abrace_core.noise import banded_noise
 from abrace_core.run import Run
 from abrace_core.simulation import simulate, simulate_closed_loop
@@ -62,6 +63,19 @@ class Laboratory:
         """White noise as command, the table at rest."""
         noise = self._noise(seconds, 30.0, rms, 2000 + self.seed)
         return self.open_loop("bags/command", 0 * noise, noise)
+
+    def multisine_test(self, table: bool, command: bool, periods: int = 5, period: float = 32.768) -> Run:
+        """Multisines on the table (odd lines), as command (even lines beside the table's, else odd), or both."""
+        duration, rate = periods * period, 500.0
+        still = np.zeros(round(duration * rate))
+        lines = "even" if table and command else "odd"
+        ground = repeated_multisine(duration, period, rate, (0.3, 10.0), 0.25, 4000 + self.seed) if table else still
+        force = (
+            repeated_multisine(duration, period, rate, (0.3, 30.0), 1800.0, 5000 + self.seed, lines)
+            if command
+            else still
+        )
+        return self.open_loop("bags/" + ("both" if table and command else "multisine"), ground, force)
 
     def earthquake(self, controller: LinearModel | None = None, seconds: float = 40) -> Run:
         """A noise that rises and decays as an earthquake does, at 0.1 g, with a controller or zero command."""

@@ -3,9 +3,17 @@ import pytest
 
 from abrace_core.errors import AbraceError
 from abrace_core.simulation import discretize
-from abrace_sysid.frequency_response import held_input, local_polynomial, welch
+from abrace_sysid.frequency_response import (
+    Choice,
+    frequency_responses,
+    held_input,
+    local_polynomial,
+    local_rational,
+    local_responses,
+    welch,
+)
 
-BAND = (0.3, 10.0)
+BAND, WIDE = (0.3, 10.0), (0.3, 30.0)
 
 
 def test_local_polynomials_leave_little_of_the_leakage_that_welch_has(table_test, rig):
@@ -74,3 +82,86 @@ def test_what_cannot_be_estimated_is_refused_with_the_reason(plain_run):
         welch(run, "w", BAND, segment=4096)
     with pytest.raises(AbraceError, match="no channel 'q'"):
         local_polynomial(run, "q", BAND)
+
+
+def errors(estimate, rig):
+    """Relative rms error of each channel, and rms of the errors over their standard deviations."""
+    true = discretize(rig.model, 0.002, {"w": "first"})
+    expected = true.frequency_response(estimate.omega)[:, :, 0 if estimate.input == "w" else 1]
+    error = np.abs(estimate.response - expected)
+    relative = np.linalg.norm(error, axis=0) / np.linalg.norm(expected, axis=0)
+    return relative, np.sqrt(np.mean((error / estimate.sigma) ** 2, axis=0))
+
+
+@pytest.mark.parametrize("seconds", [60, 120])
+def test_rational_functions_follow_a_mode_that_is_as_narrow_as_the_lines(laboratory_of, rig, seconds):
+    laboratory = laboratory_of(rig, 5)
+    for run, name, band in ((laboratory.table_test(seconds), "w", BAND), (laboratory.command_test(seconds), "U", WIDE)):
+        relative, ratio = errors(local_rational(run, name, band), rig)
+        assert relative.max() < 0.01, relative
+        assert ratio.max() < 1.3, ratio
+        polynomial, _ = errors(local_polynomial(run, name, band), rig)
+        assert polynomial.max() > 5 * relative.max(), (polynomial, relative)
+
+
+def test_two_inputs_at_once_each_get_their_response(laboratory_of, rig):
+    laboratory = laboratory_of(rig, 6)
+    table, command = laboratory.table_test(120), laboratory.command_test(120)
+    run = laboratory.open_loop("bags/both", table.ground_acceleration, command.command_from_here[:, 0])
+    both = frequency_responses(run, ("w", "U"), BAND)
+    assert [each.input for each in both] == ["w", "U"]
+    for each in both:
+        relative, ratio = errors(each, rig)
+        assert relative.max() < 0.01, (each.input, relative)
+        assert ratio.max() < 1.3, (each.input, ratio)
+    alone, _ = errors(frequency_responses(run, ("w",), BAND)[0], rig)
+    assert alone.max() > 0.05, "one input alone, the other taken for noise, was expected to be far worse"
+
+
+def test_repeated_tests_and_pieces_of_longer_ones_average(laboratory_of, rig):
+    runs = [laboratory_of(rig, seed).table_test(seconds) for seed, seconds in ((7, 60), (8, 60), (9, 130))]
+    one, all_ = (frequency_responses(each, ("w",), BAND)[0] for each in (runs[0], runs))
+    assert all_.method.endswith("4 records")
+    assert errors(one, rig)[0].max() > 1.5 * errors(all_, rig)[0].max()
+    assert errors(all_, rig)[1].max() < 1.3
+    assert np.median(one.sigma / all_.sigma) == pytest.approx(2, rel=0.2)
+
+
+def test_coherence_of_local_fits_is_the_share_that_each_input_explains(plain_run):
+    random = np.random.default_rng(10)
+    ground, command, noise = random.standard_normal((3, 50_000))
+    run = plain_run(ground + 2 * np.append(command[1:], 0) + np.sqrt(5) * noise, ground, command)
+    w, u = local_responses(run, ("w", "U"), (5.0, 100.0))
+    assert np.median(w.coherence) == pytest.approx(0.1, abs=0.03)
+    assert np.median(u.coherence) == pytest.approx(0.4, abs=0.04)
+    assert w.select(["f"]).coherence.shape == (len(w.omega), 1)
+
+
+def test_the_settings_follow_from_the_record_and_the_damping(laboratory_of, rig):
+    for seconds, choice, half_width in ((60, None, 13), (100, None, 20), (60, Choice(bandwidth=0.3), 18)):
+        (found,) = frequency_responses(laboratory_of(rig, 12).table_test(seconds), ("w",), BAND, choice)
+        assert found.method == f"local rational method, order 2, half-width {half_width}"
+
+
+def test_a_choice_overrides_the_automatic_one(table_test):
+    run = table_test
+    for choice, method in (
+        (Choice("welch", segment=8192), "Welch, H1, hann, overlap 0.5, 8192 points"),
+        (Choice("local_polynomial", 4, 6), "local polynomial method, order 4, half-width 6"),
+        (Choice("local_polynomial"), "local polynomial method, order 4, half-width 6"),
+        (Choice("local_rational", 3, 9), "local rational method, order 3, half-width 9"),
+    ):
+        assert frequency_responses(run, ("w",), BAND, choice)[0].method == method
+    with pytest.raises(AbraceError, match="method 'guess', expected 'local_rational', 'local_polynomial' or 'welch'"):
+        frequency_responses(run, ("w",), BAND, Choice("guess"))
+
+
+def test_tests_of_another_rig_and_inputs_that_are_not_two_are_refused(table_test, plain_run):
+    noise = np.random.default_rng(11).standard_normal(20_000)
+    run = plain_run(noise, noise, np.append(0, noise[:-1]))
+    with pytest.raises(AbraceError, match=r"bags/plain: channels .* expected the same rig"):
+        frequency_responses((table_test, run), ("w",), BAND)
+    with pytest.raises(AbraceError, match="expected at least one"):
+        frequency_responses((), ("w",), BAND)
+    with pytest.raises(AbraceError, match="an input that is zero or repeats another"):
+        frequency_responses(run, ("w", "U"), BAND)

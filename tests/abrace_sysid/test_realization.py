@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,6 +39,20 @@ def test_a_sampled_response_is_realised_exactly_hold_and_delay_included(input_na
     assert (found.inputs, found.outputs) == ((input_name,), ("x1", "a1"))
     assert np.allclose(found.c, model.c, atol=1e-8)
     assert np.allclose(found.d, model.d, atol=1e-8)
+
+
+def test_several_responses_of_one_input_share_their_numerators_and_others_are_refused():
+    model = given_model("U", 0.0008)
+    omega = np.linspace(2, 190, 300)
+    sampled = discretize(model, 0.002).frequency_response(omega)[:, :, 0]
+    whole = FrequencyResponse("U", ("x1", "a1"), omega, sampled, np.ones((300, 2)), 0.002, "exact")
+    low, high = (
+        replace(whole, omega=omega[part], response=sampled[part], sigma=whole.sigma[part])
+        for part in (slice(0, 120), slice(120, 300))
+    )
+    assert np.allclose(realize([low, high], POLES, 0.0008).c, realize(whole, POLES, 0.0008).c, rtol=1e-9)
+    with pytest.raises(AbraceError, match="responses of x1, a1 to w and of x1, a1 to U, expected the same"):
+        realize([low, replace(high, input="w")], POLES, 0.0008)
 
 
 def test_superposition_adds_responses_and_gives_zeros_elsewhere():

@@ -6,7 +6,7 @@ import pytest
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel, pole_table
 from abrace_sysid.realization import superpose
-from abrace_sysid.reduction import Scales, balanced_truncation, typical_scales
+from abrace_sysid.reduction import Scales, balanced_truncation, errors_by_order, relative_errors, typical_scales
 
 UNITS = Scales(np.ones(2), np.ones(2))
 
@@ -71,6 +71,22 @@ def test_typical_scales_are_rms_under_banded_noise():
     assert np.allclose(
         scales.outputs, [2 * scales.inputs[0], np.hypot(3 * scales.inputs[0], 1e-3 * scales.inputs[1])], rtol=1e-3
     )
+
+
+def test_relative_errors_are_of_each_channel_and_input_alone(model):
+    worse = replace(model, c=model.c * [[1.1], [1.0]], d=model.d * [[1.1], [1.0]])
+    assert np.allclose(relative_errors(model, worse, (0.1, 30.0)), [[0.1, 0.1], [0.0, 0.0]])
+    deaf = replace(model, b=model.b * [0.0, 1.0], d=model.d * [0.0, 1.0])
+    assert np.isnan(relative_errors(deaf, deaf, (0.1, 30.0))[:, 0]).all()
+
+
+def test_errors_of_all_orders_end_at_zero_and_keep_their_bound(model):
+    errors = errors_by_order(model, UNITS, (0.01, 30.0))
+    assert errors.orders.tolist() == [1, 2, 3, 4, 5, 6]
+    assert errors.bound[2] == pytest.approx(balanced_truncation(model, 3, UNITS).error_bound)
+    assert errors.achieved.shape == (6, 2, 2)
+    assert errors.achieved[-1].max() < 1e-9 < errors.achieved[0].min()
+    assert errors.bound[-1] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_models_that_cannot_be_balanced_are_refused(model):

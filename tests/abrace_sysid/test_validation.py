@@ -33,6 +33,40 @@ def test_numbers_follow_their_definitions(rig, laboratory, controller):
     assert simulated.rms == pytest.approx(measured.rms / 2)
 
 
+def test_sensor_noise_is_read_off_the_record_s_top_frequencies(rig, laboratory, controller):
+    noise = [channel.noise for channel in rig.sensors.channels(3, 1)][:8]
+    comparison = compare(laboratory.earthquake(controller), rig.model, controller, rig.capacity)
+    assert np.allclose(comparison.noise()[:8], noise, rtol=0.1)
+    assert comparison.noise()[8] == 0.0
+
+
+def test_a_hum_at_the_top_of_the_spectrum_does_not_pass_for_noise(rig, laboratory, controller):
+    comparison = compare(laboratory.earthquake(controller), rig.model, controller, rig.capacity)
+    hum = 0.5 * np.sin(2 * np.pi * 237.0 * comparison.time)[:, None]
+    assert np.allclose(replace(comparison, measured=comparison.measured + hum).noise()[4:7], 3.4e-3, rtol=0.1)
+
+
+def test_the_exact_model_has_hardly_any_error_but_noise_and_a_wrong_one_keeps_its_error(rig, laboratory):
+    comparison = compare(laboratory.earthquake(), rig.model, None, rig.capacity)
+    plain, without_noise = comparison.normalised_rms_error(), comparison.noise_free_error()
+    assert all(without_noise[name] < plain[name] / 2 for name in without_noise), (plain, without_noise)
+    wrong = replace(comparison, simulated=1.1 * comparison.simulated)
+    assert np.allclose(list(wrong.noise_free_error().values()), 0.1, atol=2e-3)
+
+
+def test_noise_is_never_taken_beyond_zero(rig, laboratory):
+    comparison = compare(laboratory.earthquake(), rig.model, None, rig.capacity)
+    perfect = replace(comparison, simulated=comparison.measured)
+    assert set(perfect.noise_free_error().values()) == {0.0}
+
+
+def test_peak_and_rms_error_is_the_mean_over_channels(rig, laboratory, controller):
+    comparison = compare(laboratory.earthquake(controller), rig.model, controller, rig.capacity)
+    assert replace(comparison, simulated=0.9 * comparison.measured).peak_rms_error() == pytest.approx(0.1)
+    one_off = comparison.measured * np.where(np.array(comparison.names) == "f", 1.9, 1.0)
+    assert replace(comparison, simulated=one_off).peak_rms_error() == pytest.approx(0.1)
+
+
 def test_a_command_that_stays_zero_has_no_correlation(rig, laboratory):
     comparison = compare(laboratory.earthquake(), rig.model, None, rig.capacity)
     assert "U" not in comparison.correlation()

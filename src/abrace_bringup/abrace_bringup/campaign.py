@@ -210,7 +210,9 @@ class Runner:
                     "design",
                     {
                         "model": str(self.results / model / "reduced.json"),
-                        "check_models": [str(self.results / model / "model.json")],
+                        "check_models": [
+                            str(self.results / model / f"{name}.json") for name in ("model", "superposed")
+                        ],
                         "weights": weights,
                         "sample_period": 1 / self.rig.sample_rate,
                         "force_limit": limit,
@@ -235,7 +237,11 @@ class Runner:
 
     def show_poles(self, step: str) -> None:
         """Set the rig's own poles and the paper's beside the identified ones: poles.json and a chart."""
-        identified = json.loads((self.results / step / "poles.json").read_text(encoding="utf-8"))
+        found = json.loads((self.results / step / "poles.json").read_text(encoding="utf-8"))
+        identified = {
+            test: [{key: pair[key] for key in ("frequency", "damping_ratio")} for pair in found[test]]
+            for test in ("table", "command")
+        }
         own = self.rig.model.poles()
         pairs = [{"frequency": w, "damping_ratio": damping} for w, damping in pole_table(own)]
         poles = {test: {"identified": found, "true": pairs[: len(found)]} for test, found in identified.items()}

@@ -9,7 +9,7 @@ orthogonal factorisation, s in units of the highest frequency and columns scaled
 coefficients without squaring the condition number (harmless at order 12 up to 190 rad/s).
 
 Eq. (1) weights the error of g_j by |A(i w_j)|^2, which no fixed lambda undoes. The Sanathanan-Koerner iterations do, by
-dividing lambda by the last |A|^2 until A stands still.
+dividing lambda by the last |A|^2 until A stands still. `common_denominator` does it for several outputs at once.
 """
 
 from __future__ import annotations

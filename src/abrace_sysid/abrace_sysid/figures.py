@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
 
 from abrace_core import signals
 from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from abrace_core.linear_model import LinearModel
     from abrace_core.run import Run
     from abrace_sysid.frequency_response import FrequencyResponse
+    from abrace_sysid.pole_estimate import PoleInterval
+    from abrace_sysid.reduction import OrderErrors
     from abrace_sysid.validation import Comparison
 
 
@@ -121,6 +124,96 @@ def hankel_singular_values(values: NDArray[np.float64], kept: int) -> Figure:
     axis.set_ylabel("Hankel singular value [-]")
     axis.grid(axis="y", alpha=0.3)
     axis.legend(loc="best")
+    return figure
+
+
+def reduction_errors(errors: OrderErrors, kept: int) -> Figure:
+    """What each order of the reduced model costs: every channel's error for each input, and the order `kept`.
+
+    Parameters
+    ----------
+    errors
+        Of all orders.
+    kept
+        States of the reduced model.
+    """
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    axis = figure.subplots()
+    for j, colour in zip(range(errors.achieved.shape[2]), (MEASURED, SIMULATED) * 9, strict=False):
+        axis.semilogy(errors.orders, 100 * errors.achieved[:, :, j], color=colour, lw=0.9)
+        axis.plot([], [], color=colour, label=f"input {j + 1}, each channel")
+    axis.axvline(kept, color=REFERENCE, ls="--", label=f"kept ({kept})")
+    axis.set_xlabel("states of the reduced model")
+    axis.set_ylabel("rms error of a channel's response [%]")
+    axis.grid(which="both", alpha=0.3)
+    axis.legend(loc="best")
+    return figure
+
+
+def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Figure:
+    """What a model leaves over of measured transfer functions, beside their uncertainty: a column each.
+
+    Parameters
+    ----------
+    measured
+        Transfer functions.
+    fitted
+        Continuous model.
+    """
+    figure = Figure(figsize=(5.4 * len(measured), 7.2), layout="constrained")
+    axes = figure.subplots(2, len(measured), sharex="col", squeeze=False)
+    for j, response in enumerate(measured):
+        frequency = response.omega / (2 * np.pi)
+        left_over = np.abs(_sampled(fitted, response, response.outputs) - response.response)
+        size = np.sqrt(np.mean(np.abs(response.response) ** 2, axis=0))
+        for k, name in enumerate(response.outputs):
+            style = {"lw": 0.8, "label": _symbol(name)}
+            axes[0, j].semilogy(frequency, left_over[:, k] / size[k], **style)
+            axes[1, j].semilogy(frequency, np.maximum(left_over[:, k], 1e-300) / response.sigma[:, k], **style)
+        axes[0, j].set_title(f"from {_symbol(response.input)}")
+        axes[0, j].set_ylabel("residual over rms response [-]")
+        axes[1, j].set_ylabel("residual over standard deviation [-]")
+        axes[1, j].axhline(1.0, color=REFERENCE, lw=0.8)
+        axes[1, j].set_xlabel("frequency [Hz]")
+    axes[0, 0].legend(loc="best", fontsize=7, ncols=2)
+    for axis in axes.flat:
+        axis.grid(alpha=0.3)
+    return figure
+
+
+def confidence(sets: Mapping[str, Sequence[PoleInterval]]) -> Figure:
+    """95 % confidence ellipses of frequency and damping of each pair, one axis each, about the last set's estimate.
+
+    Frequency and damping ratio of a lightly damped pair are nearly uncorrelated: the ellipses' axes are the intervals.
+
+    Parameters
+    ----------
+    sets
+        Pairs by the test that they are from, slowest first; those of the last are the reference.
+    """
+    *_, reference = sets.values()
+    columns = min(3, len(reference))
+    figure = Figure(figsize=(4.2 * columns, 3.6 * -(-len(reference) // columns)), layout="constrained")
+    axes = figure.subplots(-(-len(reference) // columns), columns, squeeze=False)
+    radius = np.sqrt(-2 * np.log(0.05))
+    for axis, (i, centre) in zip(axes.flat, enumerate(reference), strict=False):
+        for (label, pairs), colour in zip(sets.items(), (MEASURED, SIMULATED, "k") * 3, strict=False):
+            if i >= len(pairs):
+                continue
+            pair = pairs[i]
+            x, y = 100 * (pair.frequency / centre.frequency - 1), 100 * (pair.damping / centre.damping - 1)
+            width = 200 * radius * pair.frequency_deviation / centre.frequency
+            height = 200 * radius * pair.damping_deviation / centre.damping
+            axis.plot(x, y, ".", color=colour, label=label)
+            axis.add_patch(Ellipse((x, y), width, height, fill=False, color=colour))
+        axis.autoscale_view()
+        axis.set_title(f"{centre.frequency:.3f} rad/s, {100 * centre.damping:.3f} %")
+        axis.set_xlabel("frequency [% of it]")
+        axis.set_ylabel("damping ratio [% of it]")
+        axis.grid(alpha=0.3)
+    for axis in axes.flat[len(reference) :]:
+        axis.set_axis_off()
+    axes[0, 0].legend(loc="best", fontsize=7)
     return figure
 
 

@@ -22,13 +22,12 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import Hold, discretize
 from abrace_sysid.curve_fit import least_squares
+from abrace_sysid.frequency_response import FrequencyResponse
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
-
-    from abrace_sysid.frequency_response import FrequencyResponse
 
 HOLDS: dict[str, Hold] = {signals.GROUND: "first"}
 """The ground acceleration is linear between samples; commands are held."""
@@ -64,22 +63,50 @@ def modal_states(poles: NDArray[np.complex128], input_name: str, delay: float) -
     return LinearModel(a, np.array(drive)[:, None], c, d, (input_name,), names, input_delay=(delay,))
 
 
-def realize(measured: FrequencyResponse, poles: NDArray[np.complex128], delay: float = 0.0) -> LinearModel:
+def realize(
+    measured: FrequencyResponse | Sequence[FrequencyResponse], poles: NDArray[np.complex128], delay: float = 0.0
+) -> LinearModel:
     """The model with these poles whose outputs fit a measured transfer function best: Eq. (3), (4) or (5).
 
     Parameters
     ----------
     measured
-        As estimated, hold and delay included.
+        As estimated, hold and delay included; several of the same input and outputs are fitted together.
     poles
         [rad/s].
     delay
         Of the input [s]; it stays explicit in the model.
+
+    Raises
+    ------
+    AbraceError
+        If several responses are not of the same input and outputs.
     """
-    states = modal_states(poles, measured.input, delay)
-    basis = discretize(states, measured.sample_period, HOLDS).frequency_response(measured.omega)[:, :, 0]
-    rows = least_squares(basis, measured.response).T
-    return replace(states, c=rows[:, :-1], d=rows[:, -1:], outputs=measured.outputs)
+    together = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
+    name, outputs = together[0].input, together[0].outputs
+    for other in together[1:]:
+        if (other.input, other.outputs) != (name, outputs):
+            raise AbraceError(
+                f"realisation: responses of {', '.join(other.outputs)} to {other.input} and of {', '.join(outputs)} "
+                f"to {name}, expected the same input and outputs"
+            )
+    states = modal_states(poles, name, delay)
+    basis = np.vstack([sampled_states(states, response) for response in together])
+    rows = least_squares(basis, np.vstack([response.response for response in together])).T
+    return replace(states, c=rows[:, :-1], d=rows[:, -1:], outputs=outputs)
+
+
+def sampled_states(states: LinearModel, measured: FrequencyResponse) -> NDArray[np.complex128]:
+    """(lines, states + 1) response of `modal_states` at the lines of a measured one, sampled with the same hold.
+
+    Parameters
+    ----------
+    states
+        From `modal_states`.
+    measured
+        Whose lines, sample period and input are meant.
+    """
+    return discretize(states, measured.sample_period, HOLDS).frequency_response(measured.omega)[:, :, 0]
 
 
 def superpose(parts: Sequence[LinearModel], inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearModel:

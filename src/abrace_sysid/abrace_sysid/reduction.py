@@ -27,6 +27,9 @@ NEGLIGIBLE = 1e-7
 """Share of the greatest Hankel singular value below which a state drives nothing or shows nothing: what rounding
 leaves of a singular Gramian's square root."""
 
+LINES = 4000
+"""Frequencies of a sum over a band."""
+
 
 @dataclass(frozen=True)
 class Scales:
@@ -60,7 +63,7 @@ class Reduction:
         return float(2 * self.hankel_singular_values[self.model.order :].sum())
 
 
-def typical_scales(model: LinearModel, band: tuple[float, float], lines: int = 4000) -> Scales:
+def typical_scales(model: LinearModel, band: tuple[float, float], lines: int = LINES) -> Scales:
     """Inputs at Table 1's intensities, and the rms of each output that the model predicts under them.
 
     The inputs are taken as independent white noise within a band, uncontrolled.
@@ -75,10 +78,8 @@ def typical_scales(model: LinearModel, band: tuple[float, float], lines: int = 4
         Frequencies of the sum, evenly spaced in the logarithm.
     """
     inputs = np.array([INTENSITY[name[0]] for name in model.inputs])
-    omega = 2 * np.pi * np.geomspace(*band, lines)
-    power = np.abs(model.frequency_response(omega) * inputs) ** 2
-    width = np.gradient(omega) / (2 * np.pi * (band[1] - band[0]))
-    outputs = np.sqrt(np.einsum("fpm,f->p", power, width))
+    omega, share = _white_noise(band, lines)
+    outputs = np.sqrt(np.einsum("fpm,f->p", np.abs(model.frequency_response(omega) * inputs) ** 2, share))
     silent = [name for name, rms in zip(model.outputs, outputs, strict=True) if rms == 0]
     if silent:
         raise AbraceError(f"balancing: output {', '.join(silent)} answers to no input")
@@ -122,6 +123,83 @@ def balanced_truncation(model: LinearModel, states: int, scales: Scales) -> Redu
             f"balanced truncation to {states} states: the reduced model is unstable, expected another order"
         )
     return Reduction(reduced, hankel, scales)
+
+
+@dataclass(frozen=True)
+class OrderErrors:
+    """What each order would cost.
+
+    Parameters
+    ----------
+    orders
+        (n,) states of the reduced models.
+    bound
+        (n,) greatest possible error of the frequency response, in balancing units.
+    achieved
+        (n, outputs, inputs) relative error of each channel, as `relative_errors` gives it; NaN where that order has no
+        stable reduced model.
+    """
+
+    orders: NDArray[np.int64]
+    bound: NDArray[np.float64]
+    achieved: NDArray[np.float64]
+
+
+def relative_errors(
+    model: LinearModel, reduced: LinearModel, band: tuple[float, float], lines: int = LINES
+) -> NDArray[np.float64]:
+    """Rms error of each output over its rms, for each input alone: white noise within a band (relative H2 norm).
+
+    Parameters
+    ----------
+    model, reduced
+        Continuous, with the same inputs and outputs.
+    band
+        [Hz].
+    lines
+        Frequencies of the sum, evenly spaced in the logarithm.
+
+    Returns
+    -------
+    NDArray
+        (outputs, inputs); NaN where `model` gives no response at all.
+    """
+    omega, share = _white_noise(band, lines)
+    whole = model.frequency_response(omega)
+    difference = reduced.frequency_response(omega) - whole
+    error, size = (np.einsum("fpm,f->pm", np.abs(response) ** 2, share) for response in (difference, whole))
+    return np.sqrt(np.divide(error, size, out=np.full_like(size, np.nan), where=size > 0))
+
+
+def errors_by_order(model: LinearModel, scales: Scales, band: tuple[float, float]) -> OrderErrors:
+    """Error bound and achieved errors of every order that a model can be cut to.
+
+    Parameters
+    ----------
+    model
+        As for `balanced_truncation`.
+    scales
+        The balancing units.
+    band
+        [Hz] over which the errors count.
+    """
+    hankel = balanced_truncation(model, 1, scales).hankel_singular_values
+    orders = np.arange(1, int(np.sum(hankel > NEGLIGIBLE * hankel[0])) + 1)
+    bound = 2 * (hankel.sum() - np.cumsum(hankel)[: len(orders)])
+    achieved = np.full((len(orders), len(model.outputs), len(model.inputs)), np.nan)
+    for i, states in enumerate(orders):
+        try:
+            reduced = balanced_truncation(model, int(states), scales).model
+        except AbraceError:
+            continue  # unstable in rounding: equal Hankel singular values on both sides of the cut
+        achieved[i] = relative_errors(model, reduced, band)
+    return OrderErrors(orders, bound, achieved)
+
+
+def _white_noise(band: tuple[float, float], lines: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Angular frequencies [rad/s] over a band [Hz] and the share of white noise's power that each stands for."""
+    omega = 2 * np.pi * np.geomspace(*band, lines)
+    return omega, np.gradient(omega) / (2 * np.pi * (band[1] - band[0]))
 
 
 def _gramian_root(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

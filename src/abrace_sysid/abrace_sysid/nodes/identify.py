@@ -1,34 +1,45 @@
-"""The node `identify`: two bags of white-noise tests to the models of Eqs. (3) to (9), with figures."""
+"""The node `identify`: bags of tests on the table and with the actuators to models, with figures."""
 
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from pathlib import Path
-
-import numpy as np
+from typing import Any, get_args
 
 from abrace_core.bag import read_run
 from abrace_core.drawing import save_figure
+from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
-from abrace_core.linear_model import export_mat, pole_table, save_model
+from abrace_core.linear_model import export_mat, save_model
 from abrace_core.node import AbraceNode, Parameter, run
 from abrace_sysid import figures
-from abrace_sysid.identification import IdentificationOptions, identify
+from abrace_sysid.frequency_response import Choice, Method
+from abrace_sysid.identification import Identification, IdentificationOptions, identify
+from abrace_sysid.pole_estimate import PoleInterval
+from abrace_sysid.pole_fits import FIT_METHODS
+from abrace_sysid.reduction import errors_by_order, typical_scales
+from abrace_sysid.stabilization import stabilization
+from abrace_sysid.stabilization_figure import stabilization_diagram
 
 DEFAULTS = IdentificationOptions()
 
 PARAMETERS = [
-    Parameter("table", "", "bag of the test with white noise on the table", required=True),
-    Parameter("command", "", "bag of the test with white noise as command", required=True),
-    Parameter("output", "", "folder for models, poles and figures", required=True),
-    Parameter("method", DEFAULTS.method, "of the transfer functions", choices=("local_polynomial", "welch")),
     Parameter(
-        "command_order", DEFAULTS.command_order, "poles of the accelerations' response to the command", minimum=2
+        "table", [], "bag, or list of bags, of tests with noise or a multisine on the table", element=str, required=True
     ),
+    Parameter("command", [], "likewise with the command; the same bags: both at once", element=str, required=True),
+    Parameter("output", "", "folder for models, poles and figures", required=True),
+    Parameter("fit", DEFAULTS.fit, "of the poles", choices=FIT_METHODS),
+    Parameter("method", DEFAULTS.transfer_function.method, "of the transfer functions", choices=get_args(Method)),
+    Parameter("table_band", list(DEFAULTS.table_band), "Hz, lowest and highest frequency used", minimum=0.0),
+    Parameter("command_band", list(DEFAULTS.command_band), "Hz, lowest and highest frequency used", minimum=0.0),
+    Parameter("command_order", DEFAULTS.command_order, "oscillating poles of the response to the command", minimum=2),
     Parameter("servo_lag", DEFAULTS.servo_lag, "s, of the actuators, from the bench test", minimum=0.0),
     Parameter("reduced_order", DEFAULTS.reduced_order, "states of the reduced model", minimum=1),
+    Parameter("stabilization", False, "draw stabilisation diagrams of both tests too"),
     Parameter("mat", False, "write the models as MATLAB files too"),
 ]
 
@@ -48,45 +59,103 @@ class Identify(AbraceNode):
             print(f"{fraction:4.0%} {step} ({time.monotonic() - begin:.1f} s)", flush=True)
 
         progress("reading the bags", 0.0)
-        table, command = read_run(given.table), read_run(given.command)
-        for recorded in (table, command):
+        runs = {bag: read_run(bag) for bag in dict.fromkeys((*given.table, *given.command))}
+        for recorded in runs.values():
             for warning in recorded.facts.get("warnings", []):
                 print(warning, file=sys.stderr, flush=True)
         options = IdentificationOptions(
-            method=given.method,
+            transfer_function=Choice(method=given.method),
+            fit=given.fit,
+            table_band=_band("table_band", given.table_band),
+            command_band=_band("command_band", given.command_band),
             command_order=given.command_order,
             servo_lag=given.servo_lag,
             reduced_order=given.reduced_order,
         )
-        found = identify(table, command, options, progress)
+        found = identify([runs[bag] for bag in given.table], [runs[bag] for bag in given.command], options, progress)
+        for warning in found.warnings:
+            print(warning, file=sys.stderr, flush=True)
         output = Path(given.output)
-        for name, model in (("model", found.model), ("reduced", found.reduced)):
+        for name, model in (("model", found.model), ("superposed", found.superposed), ("reduced", found.reduced)):
             save_model(model, output / f"{name}.json")
             if given.mat:
                 export_mat(model, output / f"{name}.mat")
-        poles = {"table": found.table_poles, "command": found.command_poles}
-        write_text(
-            output / "poles.json", json.dumps({test: _pairs(values) for test, values in poles.items()}, indent=1)
-        )
-        for test, values in poles.items():
-            print(f"poles from the {test} test (rad/s, damping ratio):")
-            for pair in _pairs(values):
-                print(f"  {pair['frequency']:9.3f}  {pair['damping_ratio']:7.4f}")
-        progress("drawing", 1.0)
-        top = table.floors
-        drawings = {
-            "figure_3_force": figures.transfer_functions(found.command_response, ["f"], found.model),
-            "figure_4_table": figures.transfer_functions(found.table_response, [f"x{top}", "a1"], found.model),
-            "figure_5_command": figures.transfer_functions(found.command_response, [f"x{top}", "a1"], found.model),
-            "hankel_singular_values": figures.hankel_singular_values(found.hankel_singular_values, given.reduced_order),
+        pairs = {
+            "table": found.poles.table_pairs,
+            "command": found.poles.command_pairs,
+            "common": found.poles.common_pairs,
         }
-        for name, figure in drawings.items():
-            save_figure(figure, output / f"{name}.png")
+        poles = {test: [_as_json(pair) for pair in values] for test, values in pairs.items()}
+        write_text(output / "poles.json", json.dumps(poles, indent=1) + "\n")
+        for test, values in pairs.items():
+            print(f"poles from {'both tests' if test == 'common' else f'the {test} test'} (rad/s, damping ratio):")
+            for pair in values:
+                frequency = _text(pair.frequency, pair.frequency_deviation)
+                print(f"  {frequency}  {_text(pair.damping, pair.damping_deviation)}")
+        progress("drawing", 1.0)
+        self.draw(found, options, output)
         print(f"wrote {output}")
 
+    def draw(self, found: Identification, options: IdentificationOptions, output: Path) -> None:
+        """The figures."""
+        table, command = found.table_response, found.command_response
+        outputs = found.model.outputs
+        shown = [
+            next(name for name in names if name in outputs)
+            for names in (reversed([o for o in outputs if o[0] == "x"]), [o for o in outputs if o[0] == "a"] or outputs)
+        ]
+        forces = [name for name in outputs if name.startswith("f")]
+        drawings = {
+            "figure_4_table": figures.transfer_functions(table, shown, found.model),
+            "figure_5_command": figures.transfer_functions(command, shown, found.model),
+            "residuals": figures.residuals([table, command], found.model),
+            "hankel_singular_values": figures.hankel_singular_values(
+                found.hankel_singular_values, options.reduced_order
+            ),
+            "reduction_errors": figures.reduction_errors(
+                errors_by_order(found.whole, typical_scales(found.whole, options.command_band), options.command_band),
+                options.reduced_order,
+            ),
+        }
+        if forces:
+            drawings["figure_3_force"] = figures.transfer_functions(command, forces, found.model)
+        if options.fit == "maximum_likelihood":
+            drawings["confidence"] = figures.confidence(
+                {
+                    "table test": found.poles.table_pairs,
+                    "command test": found.poles.command_pairs,
+                    "both tests": found.poles.common_pairs,
+                }
+            )
+        if self.parameters.stabilization:
+            for name, response in (("table", table), ("command", command)):
+                marked = [pair.frequency for pair in found.poles.common_pairs]
+                drawings[f"stabilization_{name}"] = stabilization_diagram(stabilization(response), marked)
+        for name, figure in drawings.items():
+            save_figure(figure, output / f"{name}.png")
 
-def _pairs(poles: np.ndarray) -> list[dict[str, float]]:
-    return [{"frequency": frequency, "damping_ratio": damping} for frequency, damping in pole_table(poles)]
+
+def _band(name: str, value: list[float]) -> tuple[float, float]:
+    if len(value) != 2:
+        raise AbraceError(f"parameter {name}: {value}, expected two frequencies in Hz")
+    return value[0], value[1]
+
+
+def _as_json(pair: PoleInterval) -> dict[str, Any]:
+    values = {
+        "frequency": pair.frequency,
+        "damping_ratio": pair.damping,
+        "frequency_deviation": pair.frequency_deviation,
+        "damping_ratio_deviation": pair.damping_deviation,
+    }
+    return {name: value if math.isfinite(value) else None for name, value in values.items()}
+
+
+def _text(value: float, deviation: float) -> str:
+    """A value with its 95 % interval, where there is one."""
+    if not math.isfinite(deviation):
+        return f"{value:10.5f}"
+    return f"{value:10.5f} +- {1.96 * deviation:.2g}".ljust(22)
 
 
 def main() -> int:

@@ -1,0 +1,261 @@
+"""Least squares of the local polynomial and local rational methods, for all frequency lines at once.
+
+About each line of a record's discrete Fourier transform, the response G and the transient (leakage) T in
+Y(k) = G(k) U(k) + T(k) + V(k) are polynomials of the line number over a window of neighbouring lines, found together
+by least squares; what is left over is the noise V (Pintelon and Schoukens 2012, ch. 7). A lightly damped mode in a
+short record is narrower than any window: there both are rational, with one pole that all channels share (McKelvey and
+Guerin 2012; A Y = B U + C + A V with A = 1 + a r).
+
+The transient's polynomials span the same space in every window: one fixed projection removes them. Several records
+share the response; each has a transient of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+WINDOWS_AT_ONCE = 128
+"""Windows that are solved together; keeps the work in the cache."""
+
+WEIGHING_WINDOWS = 256
+"""Windows, evenly spread over the band, that tell the channels' noise and with it their weights in the shared pole."""
+
+DEPENDENT = 1e-6
+"""An input of which no greater share is its own repeats another."""
+
+
+@dataclass(frozen=True)
+class LocalFit:
+    """Local estimates at every line.
+
+    Parameters
+    ----------
+    response
+        (lines, channels, inputs) complex.
+    sigma
+        (lines, channels, inputs): its standard deviation.
+    noise
+        (lines, channels): power of the noise, from what was left over about the line.
+    half_width
+        Lines on either side in a window.
+    """
+
+    response: NDArray[np.complex128]
+    sigma: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    half_width: int
+
+
+def least_half_width(order: int, inputs: int = 1, records: int = 1) -> int:
+    """The narrowest window, in lines on either side, that leaves residuals to judge the noise by.
+
+    Parameters
+    ----------
+    order
+        Of the polynomials.
+    inputs, records
+        How many.
+    """
+    lines = (order + 1) * (inputs + records) / records
+    return int(lines / 2 + 0.5)
+
+
+def fit_locally(
+    excitation: NDArray[np.complex128],
+    outputs: NDArray[np.complex128],
+    order: int,
+    half_width: int,
+    poles: Literal[0, 1] = 1,
+) -> LocalFit:
+    """Fit the response and the transients about every line.
+
+    Parameters
+    ----------
+    excitation
+        (records, lines, inputs) consecutive lines of the inputs' transforms.
+    outputs
+        (records, lines, channels) of the outputs'.
+    order
+        Of the polynomials B and C.
+    half_width
+        Lines on either side; at the ends of the band the windows are shifted inwards.
+    poles
+        0: polynomials; 1: rational, with a pole that the channels share.
+
+    Raises
+    ------
+    AbraceError
+        If the window has too few lines, the band has fewer lines than the window, or the inputs are not independent.
+    """
+    records, lines, inputs = excitation.shape
+    channels = outputs.shape[2]
+    window = 2 * half_width + 1
+    method = "local rational method" if poles else "local polynomial method"
+    least = least_half_width(max(order, 0), inputs, records) + poles
+    if order < 0 or half_width < least:
+        found = f"order {order} and half_width {half_width}"
+        raise AbraceError(f"{method}: {found}, expected order >= 0 and half_width >= {least}")
+    if lines < window:
+        raise AbraceError(f"{method}: {lines} lines in the band, expected at least {window}")
+    grid = _Grid(excitation, outputs, order, half_width)
+    windows = lines - window + 1
+    weight = np.zeros(channels)
+    if poles:
+        some = np.unique(np.linspace(0, windows - 1, min(windows, WEIGHING_WINDOWS)).astype(np.int64))
+        variance = np.median(grid.solve(some, weight).variance, axis=0)
+        weight = np.divide(1.0, variance, out=weight, where=variance > 0)
+    response = np.empty((lines, channels, inputs), dtype=np.complex128)
+    sigma = np.empty((lines, channels, inputs))
+    noise = np.empty((windows, channels))
+    for start in range(0, windows, WINDOWS_AT_ONCE):
+        stop = min(start + WINDOWS_AT_ONCE, windows)
+        solved = grid.solve(np.arange(start, stop), weight)
+        noise[start:stop] = solved.noise()
+        # a window's own line is its middle one; the first and the last window also serve the ends of the band
+        own = np.arange(start + half_width if start else 0, stop + half_width if stop < windows else lines)
+        serving = np.clip(own - half_width, 0, windows - 1)
+        response[own], sigma[own] = solved.at(serving - start, own - serving)
+    about = np.clip(np.arange(lines) - half_width, 0, windows - 1)
+    return LocalFit(response, sigma, noise[about], half_width)
+
+
+class _Grid:
+    """All windows of a band: what does not depend on where the window is."""
+
+    def __init__(
+        self, excitation: NDArray[np.complex128], outputs: NDArray[np.complex128], order: int, half_width: int
+    ) -> None:
+        window = 2 * half_width + 1
+        self.offset = np.linspace(-1, 1, window)
+        basis, _ = np.linalg.qr(np.vander(self.offset, order + 1, increasing=True), mode="complete")
+        self.powers, self.complement = basis[:, : order + 1], basis[:, order + 1 :].T
+        # an input's window times each polynomial, an output's times 1 and r, without what a transient can explain
+        self.of_input = np.concatenate(self.complement * self.powers.T[:, None, :])
+        self.of_output = np.concatenate([self.complement, self.complement * self.offset])
+        # (window, windows, records x inputs or channels)
+        self.excitation = _sliding(excitation, window)
+        self.outputs = _sliding(outputs, window)
+        self.records, self.inputs, self.channels = len(excitation), excitation.shape[2], outputs.shape[2]
+        # the share of each line in what is left over, to first order
+        share = np.sum(self.complement**2, axis=0) / len(self.complement)
+        self.mean_square_offset = float(share @ self.offset**2)
+
+    def solve(self, starts: NDArray[np.int64], weight: NDArray[np.float64]) -> _Solved:
+        """Least squares in the windows with these first lines; no pole where the channels have no weight."""
+        polynomials, rows = self.powers.shape[1], len(self.complement)
+        count, unknowns = len(starts), self.inputs * polynomials
+        # (windows, columns, records x rows)
+        left = _times(self.of_input, self.excitation[:, starts]).reshape(
+            polynomials, rows, count, self.records, self.inputs
+        )
+        q = np.ascontiguousarray(left.transpose(4, 0, 3, 1, 2)).reshape(unknowns, self.records * rows, count)
+        triangle = np.zeros((unknowns, unknowns, count), dtype=np.complex128)
+        excited = np.sqrt(_square(q).sum(axis=1))
+        for j in range(unknowns):
+            length = np.sqrt(_square(q[j]).sum(axis=0))
+            if not (length > DEPENDENT * excited[j]).all():
+                raise AbraceError("local fits: an input that is zero or repeats another within the band")
+            q[j] /= length
+            triangle[j, j] = length
+            for k in range(j + 1, unknowns):
+                share = np.sum(q[j].conj() * q[k], axis=0)
+                q[k] -= q[j] * share
+                triangle[j, k] = share
+        directions = np.ascontiguousarray(q.transpose(2, 1, 0))
+        pole_sought = bool(weight.any())
+        of_output = self.of_output if pole_sought else self.complement
+        left = _times(of_output, self.outputs[:, starts])
+        left = left.reshape(1 + pole_sought, rows, count, self.records, self.channels)
+        measured = np.ascontiguousarray(left.transpose(2, 0, 4, 3, 1)).reshape(count, -1, self.records * rows)
+        projected = measured @ directions.conj()
+        measured -= projected @ directions.swapaxes(1, 2)
+        freedom = self.records * rows - unknowns - pole_sought / self.channels
+        pole, pole_variance = np.zeros(count, dtype=np.complex128), np.zeros(count)
+        still = measured[:, : self.channels]
+        if pole_sought:
+            by_pole = measured[:, self.channels :]
+            curvature = np.sum(_square(by_pole), axis=2) @ weight
+            slope = np.einsum("wcr,wcr->wc", by_pole.conj(), still) @ weight
+            inverse = np.divide(1.0, curvature, out=np.zeros_like(curvature), where=curvature > 0)
+            pole = -slope * inverse
+            still = still + pole[:, None, None] * by_pole
+            pole_variance = inverse * (np.sum(_square(still), axis=2) @ weight) / (freedom * self.channels)
+        return _Solved(self, triangle, projected, still, pole, pole_variance, freedom)
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Least squares in some windows: R, Q^H [y, r y], what was left over of y + a r y, and a."""
+
+    grid: _Grid
+    triangle: NDArray[np.complex128]
+    projected: NDArray[np.complex128]
+    left_over: NDArray[np.complex128]
+    pole: NDArray[np.complex128]
+    pole_variance: NDArray[np.float64]
+    freedom: float
+
+    @property
+    def variance(self) -> NDArray[np.float64]:
+        """(windows, channels) of A V."""
+        return np.asarray(np.sum(_square(self.left_over), axis=2) / self.freedom)
+
+    def noise(self) -> NDArray[np.float64]:
+        """(windows, channels) power of V: A V is left over, and the mean of |A|^2 is known."""
+        amplified = 1 + _square(self.pole) * self.grid.mean_square_offset
+        return np.asarray(self.variance / amplified[:, None])
+
+    def at(
+        self, which: NDArray[np.int64], place: NDArray[np.int64]
+    ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+        """Response and standard deviation (lines, channels, inputs) at these places of these windows.
+
+        Without a pole, the response is p.T R^-1 Q^H y with p the polynomials' values there.
+        """
+        grid, channels = self.grid, self.grid.channels
+        polynomials, unknowns = grid.powers.shape[1], len(self.triangle)
+        offset, pole = grid.offset[place][:, None], self.pole[which][:, None]
+        response = np.empty((len(which), channels, grid.inputs), dtype=np.complex128)
+        sigma = np.empty((len(which), channels, grid.inputs))
+        for i in range(grid.inputs):
+            values = np.zeros((unknowns, len(which)), dtype=np.complex128)
+            values[i * polynomials : (i + 1) * polynomials] = grid.powers[place].T
+            row = np.empty_like(values)
+            for j in range(unknowns):
+                row[j] = values[j] / self.triangle[j, j, which]
+                values[j + 1 :] -= self.triangle[j, j + 1 :, which].T * row[j]
+            evaluated = np.einsum("ul,lcu->lc", row, self.projected[which])
+            variance = _square(row).sum(axis=0)[:, None] * self.variance[which]
+            denominator = 1 + pole * offset
+            response[:, :, i] = evaluated[:, :channels]
+            if evaluated.shape[1] > channels:
+                by_pole = evaluated[:, channels:]
+                response[:, :, i] = (evaluated[:, :channels] + pole * by_pole) / denominator
+                variance += _square(by_pole - response[:, :, i] * offset) * self.pole_variance[which][:, None]
+            sigma[:, :, i] = np.sqrt(variance) / np.abs(denominator)
+        return response, sigma
+
+
+def _sliding(lines: NDArray[np.complex128], window: int) -> NDArray[np.complex128]:
+    """(window, windows, records x columns) view of (records, lines, columns)."""
+    side_by_side = np.concatenate(list(lines), axis=1)
+    return sliding_window_view(side_by_side, window, axis=0).transpose(2, 0, 1)
+
+
+def _times(matrix: NDArray[np.float64], columns: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """A real matrix times complex columns (window, windows, columns), flattened, without making it complex."""
+    flat = np.ascontiguousarray(columns).reshape(len(columns), -1).view(np.float64)
+    return np.asarray((matrix @ flat).view(np.complex128))
+
+
+def _square(value: NDArray[np.complex128]) -> NDArray[np.float64]:
+    return np.asarray(value.real**2 + value.imag**2)

@@ -1,0 +1,77 @@
+"""The number of poles from data: fits of several orders compared by information criteria."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from abrace_core.errors import AbraceError
+from abrace_sysid.maximum_likelihood import fit_poles
+from abrace_sysid.vector_fitting import starting_poles
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from abrace_sysid.frequency_response import FrequencyResponse
+    from abrace_sysid.observation import Observation
+    from abrace_sysid.pole_estimate import PoleEstimate
+
+
+@dataclass(frozen=True)
+class OrderTrial:
+    """One order tried.
+
+    Parameters
+    ----------
+    pairs, reals
+        Of poles.
+    estimate
+        What was found; its `aic` and `mdl` compare orders.
+    reason
+        Why there is none, in words.
+    """
+
+    pairs: int
+    reals: int
+    estimate: PoleEstimate | None
+    reason: str = ""
+
+
+def try_orders(
+    observations: Sequence[Observation], measured: FrequencyResponse, orders: Sequence[tuple[int, int]]
+) -> list[OrderTrial]:
+    """Fits of one test, or of repeated ones, with each order.
+
+    Parameters
+    ----------
+    observations
+        The tests.
+    measured
+        Its transfer functions, for starting poles.
+    orders
+        (pairs, real poles) to try.
+    """
+    trials = []
+    for pairs, reals in orders:
+        try:
+            estimate = fit_poles(observations, starting_poles(measured, pairs, reals))
+        except AbraceError as error:
+            trials.append(OrderTrial(pairs, reals, None, str(error)))
+        else:
+            trials.append(OrderTrial(pairs, reals, estimate))
+    return trials
+
+
+def best_order(trials: Sequence[OrderTrial]) -> PoleEstimate:
+    """The estimate with the least description length (MDL) of all `trials`.
+
+    Raises
+    ------
+    AbraceError
+        If no trial has an estimate, with each one's reason.
+    """
+    estimates = [trial.estimate for trial in trials if trial.estimate is not None]
+    if not estimates:
+        reasons = "; ".join(f"{trial.pairs} pairs and {trial.reals} real poles: {trial.reason}" for trial in trials)
+        raise AbraceError(f"no order could be fitted: {reasons or 'none was tried'}")
+    return min(estimates, key=lambda estimate: estimate.mdl)

@@ -1,0 +1,292 @@
+"""Recorded tests before identification: checked, the whole piece of a broken one found, trends removed.
+
+What makes a test useless is an error that says what was found and what was expected; what costs a channel or a piece of
+the record is said in words and the rest is used.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from scipy import fft, signal
+
+from abrace_core import signals
+from abrace_core.errors import AbraceError
+from abrace_sysid.spectra import held_input, transform
+from abrace_sysid.welch import coherence_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_core.run import Run
+
+Trend = Literal["mean", "line"]
+
+LEAST_SECONDS = 60.0
+"""Shorter tests do not resolve modes of 1 % damping near 1 Hz."""
+
+REST = 0.05
+"""An input at rest moves less than this share of what it moves when it is excited: sensor noise alone."""
+
+CLIPPED_SHARE = 1e-3
+"""Greatest share of an input's samples at its extremes: noise cut at 3.3 standard deviations, of which 1 % is lost."""
+
+CLIPPED_COUNT = 10
+"""Samples at one extreme value that unclipped noise hardly ever has."""
+
+STUCK_SHARE = 0.1
+"""Share of a record for which a live channel does not keep one value; the rest at its ends is shorter."""
+
+FALSE_ALARM = 1e-3
+"""Probability that a channel of pure noise passes as a response."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A test that is fit for identification.
+
+    Parameters
+    ----------
+    run
+        The test, or its longest whole piece, without trends.
+    left_out
+        Channels that are no response, with the reason.
+    warnings
+        What else a reader should know, one sentence each.
+    """
+
+    run: Run
+    left_out: Mapping[str, str]
+    warnings: tuple[str, ...]
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the channels that are responses."""
+        return tuple(name for name in self.run.names if name not in self.left_out)
+
+
+def prepare(
+    run: Run,
+    inputs: Sequence[str],
+    band: tuple[float, float],
+    trend: Trend = "mean",
+    least_seconds: float = LEAST_SECONDS,
+) -> Recording:
+    """Check a white-noise test and make it ready.
+
+    Parameters
+    ----------
+    run
+        The test.
+    inputs
+        Names of all inputs that were excited.
+    band
+        Lowest and highest frequency [Hz] of the excitation.
+    trend
+        What is removed from each channel: its "mean", or a straight "line".
+    least_seconds
+        How long a whole piece must be.
+
+    Raises
+    ------
+    AbraceError
+        If there is no whole piece long enough, a value is not finite, an input is not excited throughout the band or
+        clipped, or no channel is a response.
+    """
+    if trend not in ("mean", "line"):
+        raise AbraceError(f"{run.source}: trend {trend!r}, expected 'mean' or 'line'")
+    whole, warnings = longest_piece(run, least_seconds)
+    for name in dict.fromkeys((*whole.names, signals.GROUND, *whole.command_names)):
+        values = whole.channels([name])[:, 0]
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            where = f"first at sample {whole.sequence[bad[0]]}"
+            raise AbraceError(f"{run.source}: channel {name} has {len(bad)} values that are not finite, {where}")
+    for name in inputs:
+        require_excited(whole, name, band)
+        count = _at_extremes(held_input(whole, name))
+        if count > CLIPPED_SHARE * len(whole.outputs):
+            raise AbraceError(
+                f"{run.source}: input {name} is clipped, {count} of {len(whole.outputs)} samples are at its extremes, "
+                f"expected at most {CLIPPED_SHARE:.1%}"
+            )
+        if count:
+            warnings += (f"{run.source}: input {name} is clipped in {count} samples",)
+
+    left_out = _dead_channels(whole, inputs, band)
+    if len(left_out) == len(whole.names):
+        reasons = ", ".join(f"{name} {reason}" for name, reason in left_out.items())
+        raise AbraceError(f"{run.source}: no channel is a response to {' and '.join(inputs)}: {reasons}")
+    for name, reason in left_out.items():
+        warnings += (f"{run.source}: channel {name} is left out: {reason}",)
+    for name in whole.names:
+        count = 0 if name in left_out else _at_extremes(whole.channels([name])[:, 0])
+        if count:
+            warnings += (f"{run.source}: channel {name} is clipped in {count} samples",)
+    return Recording(_without_trend(whole, trend), left_out, warnings)
+
+
+def longest_piece(run: Run, least_seconds: float = LEAST_SECONDS) -> tuple[Run, tuple[str, ...]]:
+    """The longest piece of a test with consecutive sample numbers, and a warning if that is not all of it.
+
+    Parameters
+    ----------
+    run
+        The test.
+    least_seconds
+        How long the piece must be.
+
+    Raises
+    ------
+    AbraceError
+        If it is shorter.
+    """
+    step = np.diff(run.sequence.astype(np.int64))
+    gaps = np.flatnonzero(step != 1)
+    edges = np.concatenate([[0], gaps + 1, [len(run.sequence)]])
+    longest = int(np.argmax(np.diff(edges)))
+    first, last = int(edges[longest]), int(edges[longest + 1])
+    seconds, expected = (last - first) * run.sample_period, f"expected at least {least_seconds:g} s"
+    if not len(gaps):
+        if seconds < least_seconds:
+            raise AbraceError(f"{run.source}: {seconds:g} s, {expected}")
+        return run, ()
+    after, missing = run.sequence[gaps[0]], int(step[gaps[0]]) - 1
+    found = f"a gap after sample {after}" if missing > 0 else f"sample numbers that do not rise after {after}"
+    if missing > 0:
+        found += f" ({missing} samples, {missing * run.sample_period:g} s)"
+    if len(gaps) > 1:
+        found += f" and {len(gaps) - 1} more"
+    if seconds < least_seconds:
+        raise AbraceError(f"{run.source}: {found}; the longest whole piece has {seconds:g} s, {expected}")
+    piece = replace(
+        run,
+        sequence=run.sequence[first:last],
+        outputs=run.outputs[first:last],
+        ground_acceleration=run.ground_acceleration[first:last],
+        command=run.command[first:last],
+    )
+    span = f"samples {piece.sequence[0]} to {piece.sequence[-1]}"
+    return piece, (
+        f"{run.source}: {found}; {span} are used, {seconds:g} s of {len(run.sequence) * run.sample_period:g}",
+    )
+
+
+def require_excited(run: Run, name: str, band: tuple[float, float]) -> None:
+    """That an input has power in every tenth of a band.
+
+    Parameters
+    ----------
+    run
+        The test.
+    name
+        The input.
+    band
+        Lowest and highest frequency [Hz].
+
+    Raises
+    ------
+    AbraceError
+        If the band is not one, or the input is at rest in a part of it.
+    """
+    half = 0.5 / run.sample_period
+    if not 0 <= band[0] < band[1] <= half:
+        raise AbraceError(
+            f"{run.source}: band {band[0]:g} to {band[1]:g} Hz for {name}, expected within 0 to {half:g} Hz"
+        )
+    excitation = held_input(run, name)
+    power = np.abs(transform(excitation[:, None])[:, 0]) ** 2
+    frequency = fft.rfftfreq(len(excitation), run.sample_period)
+    edges = np.linspace(*band, 11)
+    parts = np.searchsorted(frequency, edges)
+    share = np.array([power[a:b].mean() if b > a else 0.0 for a, b in itertools.pairwise(parts)])
+    weak = np.flatnonzero(~(share > 1e-3 * share.max()))
+    if len(weak):
+        low, high = edges[weak[0]], edges[weak[0] + 1]
+        raise AbraceError(
+            f"{run.source}: {name} is not excited from {low:.3g} to {high:.3g} Hz, "
+            f"expected noise from {band[0]:g} to {band[1]:g} Hz"
+        )
+
+
+def require_at_rest(run: Run, name: str, excited: Run) -> None:
+    """That an input is at rest: a command zero, the table within a share of its motion where it is shaken.
+
+    Parameters
+    ----------
+    run
+        The test in which the input is at rest.
+    name
+        The input.
+    excited
+        The test in which it is excited.
+
+    Raises
+    ------
+    AbraceError
+        If it is not at rest.
+    """
+    if name in run.command_names:
+        greatest = float(np.abs(held_input(run, name)).max())
+        if greatest:
+            raise AbraceError(f"{run.source}: {name} up to {greatest:g} N, expected 0")
+        return
+    rest, moved = (float(np.std(held_input(each, name))) for each in (run, excited))
+    if not rest < REST * moved:
+        raise AbraceError(
+            f"{run.source}: rms of {name} {rest:.3g} m/s^2, and {moved:.3g} in {excited.source}; "
+            f"expected the first at rest (less than {REST:g} of the second)"
+        )
+
+
+def _at_extremes(values: NDArray[np.float64]) -> int:
+    """How many samples are at the greatest or at the least value, if too many are for noise."""
+    if not np.ptp(values):
+        return 0
+    counts = (np.count_nonzero(values == extreme) for extreme in (values.max(), values.min()))
+    return int(sum(count for count in counts if count >= CLIPPED_COUNT))
+
+
+def _dead_channels(run: Run, inputs: Sequence[str], band: tuple[float, float]) -> dict[str, str]:
+    """Channels that never change, are stuck, or have no coherence with an input anywhere, with the reason."""
+    dead = {}
+    samples = len(run.outputs)
+    for column, name in enumerate(run.names):
+        values = run.outputs[:, column]
+        if not np.ptp(values):
+            dead[name] = f"never changes from {values[0]:g}"
+            continue
+        changes = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1, [samples]])
+        longest = int(np.argmax(np.diff(changes)))
+        kept = int(changes[longest + 1] - changes[longest])
+        if kept > STUCK_SHARE * samples:
+            start = run.sequence[changes[longest]]
+            dead[name] = f"stuck for {kept * run.sample_period:.3g} s from sample {start}"
+    alive = [column for column, name in enumerate(run.names) if name not in dead]
+    if not alive:
+        return dead
+    # the greatest of so many coherences of pure noise: 1 - (1 - c)^(averages - 1) (Bendat and Piersol 2010, ch. 9)
+    segment = 2 ** int(np.log2(samples / 16))
+    found = [coherence_of(run, name, band, segment) for name in inputs]
+    averages = found[0][1]
+    threshold = 1 - (FALSE_ALARM / len(found[0][0])) ** (1 / (averages - 1))
+    greatest = np.max([coherence[:, alive] for coherence, _ in found], axis=(0, 1))
+    for column, value in zip(alive, greatest, strict=True):
+        if value < threshold:
+            dead[run.names[column]] = f"noise, its coherence with {' and '.join(inputs)} is nowhere above {value:.2f}"
+    return {name: dead[name] for name in run.names if name in dead}
+
+
+def _without_trend(run: Run, trend: Trend) -> Run:
+    """The outputs and the table's measured acceleration without their trends; a command is known and has none."""
+    kind: Literal["constant", "linear"] = "constant" if trend == "mean" else "linear"
+    return replace(
+        run,
+        outputs=signal.detrend(run.outputs, axis=0, type=kind),
+        ground_acceleration=signal.detrend(run.ground_acceleration, type=kind),
+    )

@@ -1,0 +1,200 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import pole_table
+from abrace_core.noise import banded_noise
+from abrace_core.simulation import discretize
+from abrace_sysid import observation, spectra
+from abrace_sysid.frequency_response import FrequencyResponse, local_polynomial
+from abrace_sysid.maximum_likelihood import fit_poles
+from abrace_sysid.order_selection import best_order, try_orders
+from abrace_sysid.realization import HOLDS, modal_states
+from abrace_sysid.vector_fitting import starting_poles
+
+BAND = {"w": (0.3, 10.0), "U": (0.3, 30.0)}
+ALL, TABLE = 8, (0, 1, 2, 3, 6)
+
+
+@pytest.fixture(scope="module")
+def true(rig):
+    """Upper poles of the pairs, slowest first, then the servo's real ones."""
+    poles = rig.model.poles()
+    return np.concatenate([poles[poles.imag > 0], poles[poles.imag == 0]])
+
+
+@pytest.fixture(scope="module")
+def rough(true):
+    """Starting poles 1 % off in frequency, 30 % off in damping."""
+    rough = 1.3 * true.real + 0.99j * true.imag
+    rough[-2:] = -8.0, -900.0
+    return rough
+
+
+def observe(run, name, **options):
+    return observation.of_spectra(spectra.of_run(run, [name], BAND[name]), run.source, **options)
+
+
+def errors(estimate, true, pairs):
+    """Worst relative errors of frequency and damping ratio."""
+    expected = pole_table(true)[:pairs]
+    found = estimate.pairs()[:pairs]
+    return (
+        max(abs(pair.frequency / w - 1) for pair, (w, _) in zip(found, expected, strict=True)),
+        max(abs(pair.damping / zeta - 1) for pair, (_, zeta) in zip(found, expected, strict=True)),
+    )
+
+
+def covered(estimate, true, pairs):
+    """Of each frequency and damping ratio, whether its interval holds the true value."""
+    for pair, (frequency, damping) in zip(estimate.pairs()[:pairs], pole_table(true)[:pairs], strict=True):
+        low, high = pair.frequency_interval
+        yield low <= frequency <= high
+        low, high = pair.damping_interval
+        yield low <= damping <= high
+
+
+@pytest.fixture(scope="module")
+def table_lines(table_test):
+    return observe(table_test, "w")
+
+
+@pytest.fixture(scope="module")
+def command_lines(command_test):
+    return observe(command_test, "U")
+
+
+def test_poles_of_four_minutes_are_ten_times_better_than_the_project_asks_of_five(
+    table_lines, command_lines, rough, true
+):
+    table = fit_poles([table_lines], rough[list(TABLE)])
+    frequency, damping = errors(table, true, 3)
+    assert frequency < 3e-5, f"table: frequency {frequency:.5%} off"
+    assert damping < 1e-3, f"table: damping {damping:.4%} off"
+    command = fit_poles([command_lines], rough)
+    frequency, damping = errors(command, true, 6)
+    assert frequency < 1e-4, f"command: frequency {frequency:.5%} off"
+    assert damping < 3.5e-3, f"command: damping {damping:.4%} off"
+    assert abs(command.poles[-2] / true[-2] - 1) < 0.1
+    assert abs(command.poles[-1] / true[-1] - 1) < 0.1
+
+
+def test_two_tests_share_one_set_of_poles_and_are_more_certain_together(table_lines, command_lines, rough, true):
+    alone = fit_poles([table_lines], rough[list(TABLE)])
+    together = fit_poles([replace(table_lines, poles=TABLE), command_lines], rough)
+    assert [numerators.poles for numerators in together.numerators] == [TABLE, tuple(range(ALL))]
+    for one, both in zip(alone.pairs()[:3], together.pairs()[:3], strict=True):
+        assert both.frequency_deviation < one.frequency_deviation
+    assert errors(together, true, 6)[0] < 1e-4
+
+
+def test_intervals_hold_the_true_poles_as_often_as_they_say(rig, laboratory_of, true):
+    inside = []
+    for seed in range(20):
+        laboratory = laboratory_of(rig, seed)
+        tests = [observe(laboratory.table_test(60), "w"), observe(laboratory.command_test(60), "U")]
+        inside += covered(fit_poles(tests, true), true, 6)
+    assert 0.85 <= np.mean(inside) <= 0.99, f"{np.mean(inside):.1%} of {len(inside)} intervals hold the true value"
+
+
+def test_numerators_are_rows_for_modal_states(command_lines, rough, rig):
+    estimate = fit_poles([command_lines], rough)
+    numerators = estimate.numerators[0]
+    both = np.concatenate([[p, p.conjugate()] if p.imag else [p] for p in estimate.poles])
+    states = modal_states(both, "U", 0.0)
+    model = replace(states, c=numerators.c[0], d=numerators.d[0][:, None], outputs=numerators.outputs)
+    omega = np.linspace(3, 180, 300)
+    found = discretize(model, 0.002, HOLDS).frequency_response(omega)[:, :, 0]
+    truth = rig.discrete_model()
+    expected = truth.select(numerators.outputs, ["U"]).frequency_response(omega)[:, :, 0]
+    size = np.sqrt(np.mean(np.abs(expected) ** 2, axis=0))
+    assert np.sqrt(np.mean(np.abs(found - expected) ** 2, axis=0) / size**2).max() < 0.01
+
+
+def test_two_inputs_at_once_give_the_poles_of_the_building(laboratory, rough, true):
+    ground, command = (banded_noise(60_000, 500, (0.0, 10.0), rms, seed) for rms, seed in ((0.25, 11), (1800.0, 12)))
+    run = laboratory.open_loop("bags/both", ground, command)
+    test = observation.of_spectra(spectra.of_run(run, ["w", "U"], (0.3, 9.9)), run.source)
+    estimate = fit_poles([test], rough[[0, 1, 2, 3, 6, 7]])
+    frequency, damping = errors(estimate, true, 3)
+    assert frequency < 1e-4, f"frequency {frequency:.5%} off"
+    assert damping < 5e-3, f"damping {damping:.4%} off"
+
+
+def test_one_minute_with_noise_40_db_down_is_enough_from_poles_that_vector_fitting_found(rig, laboratory_of, true):
+    run = laboratory_of(rig, 2).table_test(60)
+    noise = 10 ** (25 / 20) * np.array([5.6e-5] * 3 + [2.2e-5] + [3.4e-3] * 3 + [16.0])
+    loud = replace(run, outputs=run.outputs + noise * np.random.default_rng(5).standard_normal(run.outputs.shape))
+    start = starting_poles(local_polynomial(loud, "w", BAND["w"]), 3, 1)
+    frequency, damping = errors(fit_poles([observe(loud, "w")], start), true, 3)
+    assert frequency < 1e-4, f"frequency {frequency:.5%} off"
+    assert damping < 0.01, f"damping {damping:.3%} off"
+
+
+def periodic(rig, seed, lines=1500):
+    """What a periodic test gives: independent lines, noise known."""
+    omega = np.linspace(2, 180, lines)
+    model = rig.discrete_model()
+    exact = model.select(None, ["U"]).frequency_response(omega)[:, :, 0]
+    sigma = np.full(exact.shape, 1e-3 * np.sqrt(np.mean(np.abs(exact) ** 2, axis=0)))
+    noise = np.random.default_rng(seed).standard_normal((2, *exact.shape)) / np.sqrt(2)
+    response = exact + sigma * (noise[0] + 1j * noise[1])
+    return FrequencyResponse("U", rig.model.outputs, omega, response, sigma, 0.002, "periodic")
+
+
+def test_intervals_from_transfer_functions_hold_too(rig, true, rough):
+    inside = []
+    for seed in range(12):
+        inside += covered(fit_poles([observation.of_response(periodic(rig, seed), "periodic")], rough), true, 6)
+    assert 0.85 <= np.mean(inside) <= 0.99, f"{np.mean(inside):.1%} of {len(inside)} intervals hold the true value"
+
+
+def test_a_delay_that_is_given_stands_for_the_servos_lag(command_lines, command_test, rough, true):
+    late = observe(command_test, "U", delays={"U": 0.0008})
+    lag_given, lag_fitted = fit_poles([late], rough[:-1]), fit_poles([command_lines], rough)
+    assert errors(lag_given, true, 6)[1] < 0.05
+    assert lag_fitted.mdl < lag_given.mdl, "the servo is no pure delay: a pole was expected to describe it better"
+
+
+def test_the_description_length_finds_the_order(rig, true):
+    measured = periodic(rig, 1, 800)
+    trials = try_orders([observation.of_response(measured, "periodic")], measured, [(5, 1), (6, 1), (6, 2)])
+    best = best_order(trials)
+    assert (best.poles.imag > 0).sum() == 6
+    assert (best.poles.imag == 0).sum() == 2
+    assert errors(best, true, 6)[0] < 1e-3
+
+
+def test_orders_that_fail_say_why(rig):
+    measured = periodic(rig, 1, lines=60)
+    trials = try_orders([observation.of_response(measured, "periodic")], measured, [(20, 0)])
+    with pytest.raises(AbraceError, match="no order could be fitted: 20 pairs and 0 real poles: "):
+        best_order(trials)
+
+
+def test_unstable_poles_never_pass(rig, rough):
+    measured = periodic(rig, 1)
+    growing = replace(measured, response=measured.response.conj())
+    with pytest.raises(AbraceError, match=r"periodic: (unstable poles|no maximum)"):
+        fit_poles([observation.of_response(growing, "periodic")], rough)
+
+
+def test_starts_that_lead_nowhere_are_refused(command_lines, rough):
+    with pytest.raises(AbraceError, match=r"bags/command: no maximum of the likelihood found .* rad/s; other starting"):
+        fit_poles([command_lines], np.array([-1 + 20j, -1 + 20j]))
+    with pytest.raises(AbraceError, match="expected upper poles of pairs"):
+        fit_poles([command_lines], rough.conj())
+    with pytest.raises(AbraceError, match=r"bags/command: poles .*, expected within 0 to 7"):
+        fit_poles([replace(command_lines, poles=(3, 9))], rough)
+
+
+def test_dead_channels_and_too_few_lines_are_named(command_lines, rough):
+    dead = command_lines.measured.copy()
+    dead[:, 2] = 0
+    with pytest.raises(AbraceError, match="bags/command: channel x3 is zero throughout"):
+        replace(command_lines, measured=dead)
+    few = {name: getattr(command_lines, name)[:20] for name in ("z", "excitation", "measured", "level")}
+    with pytest.raises(AbraceError, match="bags/command: 20 frequency lines, expected more than"):
+        fit_poles([replace(command_lines, **few)], rough)

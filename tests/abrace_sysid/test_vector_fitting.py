@@ -1,0 +1,73 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import pole_table
+from abrace_sysid.frequency_response import FrequencyResponse
+from abrace_sysid.vector_fitting import fit_common_poles, starting_poles, vector_fitting
+
+
+@pytest.fixture(scope="module")
+def exact(rig):
+    omega = np.linspace(2, 180, 800)
+    response = rig.discrete_model().select(None, ["U"]).frequency_response(omega)[:, :, 0]
+    return FrequencyResponse("U", rig.model.outputs, omega, response, 1e-9 * np.abs(response), 0.002, "exact")
+
+
+def noisy(exact, share=1e-3, seed=0):
+    sigma = np.full(exact.response.shape, share * np.sqrt(np.mean(np.abs(exact.response) ** 2, axis=0)))
+    real, imaginary = np.random.default_rng(seed).standard_normal((2, *sigma.shape)) / np.sqrt(2)
+    return replace(exact, response=exact.response + sigma * (real + 1j * imaginary), sigma=sigma)
+
+
+def test_exact_responses_give_back_all_their_poles_hold_and_lag_included(exact, rig):
+    fit = vector_fitting(exact, 14)
+    true = rig.model.poles()
+    expected = np.concatenate([true[true.imag > 0], true[true.imag == 0]])
+    assert len(fit.poles) == len(expected)
+    assert np.abs(fit.poles / expected - 1).max() < 1e-5
+    assert fit.shapes.shape == (8, 8)
+
+
+def test_noisy_responses_give_all_pairs_from_all_channels_together(exact, rig):
+    fit = vector_fitting(noisy(exact), 14)
+    found, expected = pole_table(fit.poles), pole_table(rig.model.poles())
+    assert len(found) == 6
+    for (frequency, damping), (true_frequency, true_damping) in zip(found, expected, strict=True):
+        assert abs(frequency / true_frequency - 1) < 2e-3
+        assert abs(damping / true_damping - 1) < 0.05
+
+
+def test_unstable_poles_are_refused_and_shown_to_who_asks_for_all(exact):
+    growing = replace(exact, response=exact.response.conj())
+    with pytest.raises(AbraceError, match="vector fitting of order 14: unstable poles"):
+        vector_fitting(growing, 14)
+    assert (fit_common_poles(growing, 14).poles.real > 0).any()
+
+
+def test_starting_poles_are_the_strongest_pairs_and_the_servos(exact, rig):
+    start = starting_poles(noisy(exact), 6, 2)
+    expected = np.array([w for w, _ in pole_table(rig.model.poles())])
+    assert np.abs(np.abs(start[:6]) / expected - 1).max() < 0.01
+    assert start[6] == pytest.approx(-np.abs(start[0]))
+    assert start[7] == pytest.approx(-1000.0)
+
+
+def test_a_building_without_so_many_modes_is_an_error_that_says_what_to_do(exact):
+    omega = exact.omega
+    single = 1 / (1j * omega + 3.0)
+    measured = replace(exact, response=np.repeat(single[:, None], 8, axis=1), sigma=np.full((len(omega), 8), 1e-6))
+    with pytest.raises(AbraceError, match=r"oscillating poles between .* rad/s, expected 3; a longer"):
+        starting_poles(measured, 3)
+
+
+def test_orders_and_lines_that_cannot_be_are_refused(exact):
+    few = replace(exact, omega=exact.omega[:8], response=exact.response[:8], sigma=exact.sigma[:8])
+    with pytest.raises(AbraceError, match="order 14 and 8 frequency lines"):
+        fit_common_poles(few, 14)
+    with pytest.raises(AbraceError, match="not finite"):
+        fit_common_poles(replace(exact, response=exact.response * np.nan), 4)
+    with pytest.raises(AbraceError, match="3 pairs and 5 real poles, expected"):
+        starting_poles(exact, 3, 5)
