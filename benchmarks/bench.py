@@ -6,6 +6,7 @@ plant_step_us  a sample of the simulated rig as the node `plant` takes it, again
 lockstep       the demo's closed loop (plant, ground motion, controller, logger, each a process of its own) against a
                bare echo of the same messages between two processes, measured just before and just after
 reading        the responses of that run's bag to arrays, against `rosbags`
+identification from bags of 600 s to the model, against `rosbags`, `mcap-ros2-support` and scikit-rf's VectorFitting
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from domain_coordinator import domain_id
+from identification_speed import cost_table, identification_speed
 from rosbags.highlevel import AnyReader
 from simulation import simulation_speed
 
@@ -119,10 +121,33 @@ def simulation_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
+def identification_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the table: reading, the whole fit, and the vector fits' times and errors."""
+    read, peer = found["read_seconds"], found["scikit_rf"]
+    rows = []
+    title = "reading a bag of 600 s, s"
+    for name, key in (("rosbags", "rosbags_seconds"), ("mcap-ros2-support", "mcap_ros2_support_seconds")):
+        seconds = found[key]
+        beside = (f"{name} {seconds:.2f}", f"{seconds / read:.1f}") if seconds else (f"{name} not installed", "-")
+        rows.append((title, f"{read:.2f}", "1", *beside))
+        title = ""
+    rows.append(("from two tests of 600 s to the models, s", f"{found['fit_seconds']:.2f}", "3", "-", "-"))
+    ratio = f"{peer['time_ratio']:.2f}"
+    rows.append(("vector fitting, s", f"{peer['our_seconds']:.2f}", "-", f"scikit-rf {peer['seconds']:.2f}", ratio))
+    likely = peer["maximum_likelihood"]
+    for what in ("frequency", "damping"):
+        theirs = peer[f"{what}_error"]
+        for method, ours in (("vector fitting", peer[f"our_{what}_error"]), ("identify", likely[f"{what}_error"])):
+            beside = (f"scikit-rf {100 * theirs:.4f}", f"{theirs / ours:.2f}")
+            rows.append((f"{method}: {what}, worst pole, %", f"{100 * ours:.4f}", "-", *beside))
+    return rows
+
+
 def main() -> None:
     """Measure, write, print."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     found: dict[str, Any] = {"simulation": simulation_speed(), "plant_step_us": plant_step()}
+    found["identification"] = identification_speed()
     with tempfile.TemporaryDirectory() as folder, domain_id() as domain:
         os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
         here = Path.cwd()
@@ -154,8 +179,10 @@ def main() -> None:
             f"rosbags {bags['rosbags_seconds']:.2f}",
             f"{bags['ratio_to_rosbags']:.1f}",
         ),
+        *identification_rows(found["identification"]),
     )
     print(Table("Speed", ("claim", "reached", "asked", "peer", "ratio"), rows).text())
+    print("\n" + cost_table(found["identification"]).text())
 
 
 if __name__ == "__main__":

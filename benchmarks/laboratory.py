@@ -54,6 +54,11 @@ class Laboratory:
         outputs = simulate(self.model, np.column_stack([ground, command]))
         return self._run(source, outputs, ground, np.concatenate([[0.0], command[:-1]])[:, None])
 
+    def closed_loop(self, source: str, ground: Array, controller: LinearModel) -> Run:
+        """A test in which a discrete `controller` commands, within the rig's capacity; its name is `source`."""
+        outputs, command = simulate_closed_loop(self.model, controller, ground, self.rig.capacity)
+        return self._run(source, outputs, ground, command)
+
     def table_test(self, seconds: float, rms: float = 0.25) -> Run:
         """White noise on the table, the command zero."""
         noise = self._noise(seconds, 10.0, rms, 1000 + self.seed)
@@ -86,8 +91,7 @@ class Laboratory:
         ground *= 0.981 / np.abs(ground).max()
         if controller is None:
             return self.open_loop("bags/earthquake", ground, 0 * ground)
-        outputs, command = simulate_closed_loop(self.model, controller, ground, self.rig.capacity)
-        return self._run("bags/controlled", outputs, ground, command)
+        return self.closed_loop("bags/controlled", ground, controller)
 
     @staticmethod
     def _noise(seconds: float, highest: float, rms: float, seed: int) -> Array:

@@ -25,6 +25,10 @@ FILL = 0.8
 BLOCK_ROWS = 30
 """Least number of block rows of the Hankel matrices; from 20 on the poles hardly change."""
 
+RANK_DEFICIENT = (4, 5)
+"""IB01AD's warnings that the input's lines are too few for the block rows: the projection is rank-deficient, and what
+follows is no model."""
+
 
 def n4sid_poles(run: Run, input_name: str, order: int) -> NDArray[np.complex128]:
     """Continuous poles [rad/s] of a test, slowest first.
@@ -42,7 +46,7 @@ def n4sid_poles(run: Run, input_name: str, order: int) -> NDArray[np.complex128]
     Raises
     ------
     AbraceError
-        If SLICOT refuses the data.
+        If SLICOT refuses the data or warns that they do not tell the model.
     """
     excitation = held_input(run, input_name)
     factor = _decimation(excitation)
@@ -50,9 +54,16 @@ def n4sid_poles(run: Run, input_name: str, order: int) -> NDArray[np.complex128]
     y = signal.decimate(run.outputs - run.outputs.mean(axis=0), factor, ftype="fir", axis=0)
     u, y = np.asfortranarray(u / u.std()), np.asfortranarray(y / y.std(axis=0))
     rows, inputs, outputs = max(BLOCK_ROWS, 2 * order), u.shape[1], y.shape[1]
-    _, factor_r, _, _, failed = ctrlsys.ib01ad("N", "C", "N", "O", "N", "N", rows, inputs, outputs, u, y, 0.0, -1.0)
+    _, factor_r, _, warning, failed = ctrlsys.ib01ad(
+        "N", "C", "N", "O", "N", "N", rows, inputs, outputs, u, y, 0.0, -1.0
+    )
     if failed:
         raise AbraceError(f"{run.source}: IB01AD ends with {failed}, expected 0")
+    if warning in RANK_DEFICIENT:
+        raise AbraceError(
+            f"{run.source}: IB01AD warns {warning}, the oblique projection of {rows} block rows of {input_name} is "
+            "rank-deficient, expected full rank"
+        )
     a, *_, failed = ctrlsys.ib01bd("N", "C", "N", rows, order, inputs, outputs, len(u), factor_r, 0.0)
     if failed:
         raise AbraceError(f"{run.source}: IB01BD ends with {failed}, expected 0")

@@ -1,7 +1,8 @@
 """Accuracy claims, measured: `make verify`. Writes results/verify.json, prints a table, ends with 1 if one is missed.
 
-rig       the paper's rig against the numbers that the paper prints, and its limited motion against finer substeps
-records   the resampling of records, and their response spectra against eqsig
+rig             the paper's rig against the numbers that the paper prints, and its limited motion against finer substeps
+records         the resampling of records, and their response spectra against eqsig
+identification  poles, their intervals and prediction against the simulated rig, beside the paper's method and N4SID
 """
 
 from __future__ import annotations
@@ -13,24 +14,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import eqsig
+import identification_accuracy as accuracy
 import numpy as np
 
 from abrace_bringup.table import Table
 from abrace_core.files import write_text
-from abrace_core.node import find_file
 from abrace_plant import published
 from abrace_plant.characteristics import characterize
 from abrace_plant.ground_motion import prepare
 from abrace_plant.intensity import STANDARD_GRAVITY, intensity
 from abrace_plant.record_files import Record, read_record
 from abrace_plant.response_spectrum import response_spectrum
-from abrace_plant.rig_file import load_rig
 from abrace_plant.rig_motion import RigMotion
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from abrace_plant.rig import Rig
+    from abrace_sysid.pole_estimate import PoleInterval
 
 RESULTS = Path("results/verify.json")
+SAME_POLE = 0.05
+"""Relative difference in frequency within which two poles are taken for the same."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,7 @@ def limited_motion(rig: Rig) -> tuple[float, float]:
 
 def verify_rig() -> tuple[dict[str, Any], list[Claim]]:
     """The paper's rig, measured as the paper measured its building."""
-    rig = load_rig(find_file(published.RIG, "abrace_plant", "config", ".yaml", "rig"))
+    rig = accuracy.the_rig()
     found = characterize(rig)
     (brace,) = found.braces
     error, order = limited_motion(rig)
@@ -153,12 +158,107 @@ def verify_records() -> tuple[dict[str, Any], list[Claim]]:
     return values, claims
 
 
-def main() -> int:
-    """Measure, write, print."""
-    rig, claims = verify_rig()
-    records, more = verify_records()
-    claims += more
-    write_text(RESULTS, json.dumps({"rig": rig, "records": records}, indent=1) + "\n")
+def verify_identification() -> tuple[dict[str, Any], list[Claim], list[Table]]:
+    """Identification of the simulated rig, and the tables that set it beside other methods and models."""
+    trials, prediction = accuracy.measure()
+    true = accuracy.true_pairs(accuracy.the_rig())
+    values = accuracy.evaluate(trials, prediction, true)
+    claims = []
+    for case, (_, _, *asked) in accuracy.CASES.items():
+        for quantity, limit in zip(("frequency", "damping"), asked, strict=True):
+            key, peer = f"{quantity}_error", values["n4sid"][case]
+            said = "N4SID refuses" if peer[key] is None else f"N4SID {peer[key]:.2g}"
+            name = f"{case.replace('_', ' ')} s: {quantity}" if case[-1].isdigit() else f"{case}: {quantity}"
+            claims.append(Claim(f"{name}, worst of {accuracy.SEEDS} seeds", values[case][key], limit, said))
+    name = "true poles within their 95 % intervals"
+    claims += [
+        Claim(name, values["coverage"], 0.85, "theory: 0.95", least=True),
+        Claim(name, values["coverage"], 0.99, "theory: 0.95"),
+    ]
+    for test, title, channels, asked in (
+        ("zero_command", "El Centro, zero command: every channel", prediction["consistent"]["zero_command"], 0.02),
+        (
+            "closed_loop",
+            "El Centro, LQG3: every channel but a1",
+            set(prediction["consistent"]["closed_loop"]) - {"a1"},
+            0.03,
+        ),
+        ("closed_loop", "El Centro, LQG3: a1", {"a1"}, 0.05),
+    ):
+        ours, theirs = (max(prediction[name][test][c] for c in channels) for name in ("consistent", "states_24"))
+        claims.append(Claim(title, ours, asked, f"24 states {theirs:.2g}"))
+    ours, theirs = (prediction[name]["peak_rms_error"] for name in ("consistent", "states_24"))
+    claims.append(Claim("El Centro: peaks and rms, mean", ours, 0.015, f"24 states {theirs:.2g}"))
+    (shown,) = (trial for trial in trials if (trial.length, trial.seed) == accuracy.SHOWN)
+    return values, claims, [error_table(values), pole_comparison(shown, true), prediction_table(prediction)]
+
+
+def error_table(values: dict[str, Any]) -> Table:
+    """Worst errors of our method, N4SID and the paper's, on the same tests."""
+
+    def cell(found: dict[str, Any]) -> str:
+        if "failed" in found:
+            return f"refused, {found['failed_seeds']} of {accuracy.SEEDS}"
+        return f"{100 * found['frequency_error']:.2g} / {100 * found['damping_error']:.2g}"
+
+    methods = (values, values["n4sid"], values["paper_method"])
+    rows = tuple(
+        (case, f"{100 * asked[0]:g} / {100 * asked[1]:g}", *(cell(found[case]) for found in methods))
+        for case, (_, _, *asked) in accuracy.CASES.items()
+    )
+    title = f"Poles: worst error of frequency / damping, %, over {accuracy.SEEDS} seeds"
+    return Table(title, ("test", "asked", "abrace", "N4SID", "paper's method"), rows)
+
+
+def pole_comparison(trial: accuracy.Trial, true: dict[str, accuracy.Pairs]) -> Table:
+    """Each pole of A1 and of A2 as the rig has it, as each method finds it, and as the paper prints its own."""
+
+    def number(pair: tuple[float, float]) -> str:
+        return f"{pair[0]:.4f} / {100 * pair[1]:.3f}"
+
+    def with_interval(pair: PoleInterval) -> str:
+        frequency, damping = (np.ptp(interval) / 2 for interval in (pair.frequency_interval, pair.damping_interval))
+        return f"{pair.frequency:.5f} ± {frequency:.5f} / {100 * pair.damping:.4f} ± {100 * damping:.4f}"
+
+    def nearest(found: accuracy.Pairs | str, own: tuple[float, float]) -> str:
+        if isinstance(found, str):
+            return "refused"
+        one = min(found, key=lambda pair: abs(pair[0] - own[0]))
+        return number(one) if abs(one[0] / own[0] - 1) < SAME_POLE else "none near"
+
+    rows, notes = [], []
+    for matrix, test in (("A1", "table"), ("A2", "command")):
+        printed = [(abs(pole), -pole.real / abs(pole)) for pole in published.PAPER_POLES[test]]
+        for own, ours in zip(true[test], trial.ours[test], strict=True):
+            others = [nearest(trial.peers[method][test], own) for method in accuracy.PEERS]
+            rows.append((matrix, number(own), with_interval(ours), *others, nearest(printed, own)))
+        refusals = ((method, trial.peers[method][test]) for method in accuracy.PEERS)
+        notes += [f"{matrix}, {method}: {said}" for method, said in refusals if isinstance(said, str)]
+    titles = {
+        "paper": "paper's method",
+        "n4sid": "N4SID",
+        "sk": "Sanathanan-Koerner",
+        "vector_fitting": "vector fitting",
+    }
+    header = ("", "rig", "abrace, 95 %", *(titles[method] for method in accuracy.PEERS), "paper's own rig")
+    return Table("Poles beside other methods: rad/s / damping in %, tests of 600 s", header, tuple(rows), tuple(notes))
+
+
+def prediction_table(prediction: dict[str, Any]) -> Table:
+    """Simulated against measured by the three models."""
+    tests, models = ("zero_command", "closed_loop"), ("consistent", "states_24", "states_8")
+    header = ("", *(f"{test}: {model}".replace("_", " ") for test in tests for model in models))
+    rows = [
+        (channel, *(f"{100 * prediction[model][test][channel]:.2f}" for test in tests for model in models))
+        for channel in prediction["consistent"]["zero_command"]
+    ]
+    errors = ", ".join(f"{model} {100 * prediction[model]['peak_rms_error']:.2f}".replace("_", " ") for model in models)
+    note = f"Mean error of peaks and rms over both tests, %: {errors}"
+    return Table("El Centro at 0.1 g, simulated against measured: rms error, %", header, tuple(rows), (note,))
+
+
+def claim_table(claims: Sequence[Claim]) -> Table:
+    """What was reached of what was asked."""
     rows = tuple(
         (
             claim.name,
@@ -169,7 +269,18 @@ def main() -> int:
         )
         for claim in claims
     )
-    print(Table("Accuracy (relative errors, unless said)", ("claim", "reached", "asked", "peer", ""), rows).text())
+    return Table("Accuracy (relative errors, unless said)", ("claim", "reached", "asked", "peer", ""), rows)
+
+
+def main() -> int:
+    """Measure, write, print."""
+    rig, claims = verify_rig()
+    records, of_records = verify_records()
+    identification, of_identification, tables = verify_identification()
+    claims += of_records + of_identification
+    values = {"rig": rig, "records": records, "identification": identification}
+    write_text(RESULTS, json.dumps(values, indent=1) + "\n")
+    print("\n\n".join(table.text() for table in (claim_table(claims), *tables)))
     print(f"wrote {RESULTS}")
     return 0 if all(claim.holds for claim in claims) else 1
 

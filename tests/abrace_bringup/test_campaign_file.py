@@ -6,9 +6,11 @@ from pathlib import Path
 import pytest
 
 from abrace_bringup.campaign_file import (
-    BandedNoise,
     Design,
+    ExcitationMultisine,
+    ExcitationNoise,
     Identify,
+    MultisineMotion,
     Record,
     RigTest,
     Validate,
@@ -28,8 +30,8 @@ def test_the_demo_campaign_is_the_paper_from_end_to_end():
         "table_noise": RigTest(
             duration=240.0, ground_motion=WhiteNoise(record="white_noise", rms=0.25, band=(0.0, 10.0), seed=1)
         ),
-        "command_noise": RigTest(duration=240.0, excitation=BandedNoise(rms=1800.0, band=(0.0, 30.0), seed=2)),
-        "model": Identify(table="table_noise", command="command_noise"),
+        "command_noise": RigTest(duration=240.0, excitation=ExcitationNoise(rms=1800.0, band=(0.0, 30.0), seed=2)),
+        "model": Identify(table=("table_noise",), command=("command_noise",)),
         "lqg3": Design(model="model", weights="lqg3"),
         "uncontrolled": RigTest(duration=100.0, ground_motion=el_centro),
         "controlled": RigTest(duration=100.0, ground_motion=el_centro, controller="lqg3"),
@@ -53,6 +55,32 @@ def test_a_test_without_input_and_without_lockstep_is_a_zero_test_in_real_time(t
     assert campaign.steps[0].task == RigTest(duration=5.0)
 
 
+def test_multisines_on_table_and_command_at_once_repeated_are_one_identification(tmp_path):
+    path = tmp_path / "campaign.yaml"
+    both = """{duration: 200.0,
+      ground_motion: {record: multisine, rms: 0.2, band: [0.3, 10.0], seed: SEED, lines: odd},
+      excitation: {signal: multisine, rms: 900.0, band: [0.3, 30.0], seed: SEED, lines: even, period: 16.384,
+                   slope: -0.5}}"""
+    steps = [f"{{name: test{seed}, test: {both.replace('SEED', str(seed))}}}" for seed in (1, 2)]
+    steps.append("{name: model, identify: {table: [test1, test2], command: [test1, test2]}}")
+    path.write_text("name: multisines\nrig: rig.yaml\nsteps:\n" + "\n".join(f"  - {step}" for step in steps))
+    first, _, model = load_campaign(path).steps
+    assert model.task == Identify(table=("test1", "test2"), command=("test1", "test2"))
+    assert first.task == RigTest(
+        duration=200.0,
+        ground_motion=MultisineMotion(record="multisine", rms=0.2, band=(0.3, 10.0), seed=1, lines="odd"),
+        excitation=ExcitationMultisine(
+            signal="multisine", rms=900.0, band=(0.3, 30.0), seed=1, lines="even", period=16.384, slope=-0.5
+        ),
+    )
+
+
+def test_any_test_may_be_set_beside_its_simulation(tmp_path):
+    path = tmp_path / "campaign.yaml"
+    path.write_text(DEMO.read_text() + "  - {name: zero, validate: {test: uncontrolled, model: model}}\n")
+    assert load_campaign(path).steps[-1].task == Validate(test="uncontrolled", model="model")
+
+
 # what in the demo is replaced, by what, and what the error says after "campaign file <path>: "
 MISTAKES = [
     ("lockstep: true", "lockstep: 1", "lockstep: 1, expected .*boolean"),
@@ -69,12 +97,27 @@ MISTAKES = [
     ("seed: 1}", "seed: -1}", r"steps.0.test.ground_motion.white_noise.seed: -1, expected"),
     (", seed: 1}", "}", r"steps.0.test.ground_motion.white_noise.seed: key is missing"),
     ("[0.0, 10.0]", "[10.0, 0.0]", r"ground_motion.white_noise.band: \[10.0, 0.0\], expected .*the lower one first"),
-    ("[0.0, 30.0]", "[0.0]", "steps.1.test.excitation.band.1: key is missing"),
-    ("rms: 1800.0", "rms: -1.0", "steps.1.test.excitation.rms: -1.0, expected"),
+    ("[0.0, 30.0]", "[0.0]", "steps.1.test.excitation.white_noise.band.1: key is missing"),
+    ("rms: 1800.0", "rms: -1.0", "steps.1.test.excitation.white_noise.rms: -1.0, expected"),
     (
         "{record: white_noise, rms: 0.25",
         "{record: el_centro, rms: 0.25",
         "steps.0.test.ground_motion.record.rms: unknown key",
+    ),
+    (
+        "{record: white_noise, rms: 0.25",
+        "{record: multisine, rms: 0.25",
+        "steps.0.test.ground_motion.multisine: .*expected .*begins above 0 Hz",
+    ),
+    (
+        "excitation: {rms: 1800.0",
+        "excitation: {signal: sweep, rms: 1800.0",
+        "steps.1.test.excitation: .*expected .*'white_noise', 'multisine'",
+    ),
+    (
+        "excitation: {rms: 1800.0",
+        "excitation: {signal: multisine, lines: few, rms: 1800.0",
+        "steps.1.test.excitation.multisine.lines: 'few', expected .*'all', 'odd' or 'even'",
     ),
     (
         "name: command_noise",
@@ -121,7 +164,7 @@ MISTAKES = [
     (
         "test: controlled,",
         "test: uncontrolled,",
-        r"step comparison: validate.test: 'uncontrolled', expected .*controller \(controlled\)",
+        "step comparison: validate.controller: 'lqg3', expected none",
     ),
     (
         "uncontrolled: uncontrolled",

@@ -3,6 +3,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from identification_accuracy import Trial, coverage, true_pairs, worst_errors, worst_of
+from n4sid import n4sid_poles
 
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
@@ -14,6 +16,7 @@ from abrace_plant.rig import BraceGroup
 from abrace_plant.sensors import SensorSet
 from abrace_sysid.frequency_response import Choice
 from abrace_sysid.identification import IdentificationOptions, identify
+from abrace_sysid.pole_estimate import PoleInterval
 from abrace_sysid.realization import HOLDS
 from abrace_sysid.validation import compare
 
@@ -331,3 +334,48 @@ def test_tests_that_are_not_what_they_should_be_are_refused(mistake, table_test,
 def test_options_that_cannot_be_met_are_refused(options, message, table_test, command_test):
     with pytest.raises(AbraceError, match=message):
         identify(table_test, command_test, options)
+
+
+# --- what `make verify` makes of it ----------------------------------------------------------------------------------
+
+OWN = {"table": [(7.0, 0.01), (23.0, 0.02)], "command": [(7.0, 0.01), (23.0, 0.02)]}
+
+
+def trial_of(seed, factor, paper="unstable poles"):
+    """A trial of 600 s, its frequencies too great by a factor, their standard deviation 0.001 of them."""
+    pairs = tuple(PoleInterval(factor * w, zeta, 1e-3 * w, 1e-3 * zeta) for w, zeta in OWN["table"])
+    return Trial(600, seed, {"table": pairs}, {"paper": {"table": paper}})
+
+
+def test_worst_error_is_of_the_nearest_pair_and_a_pair_that_is_missed_counts():
+    frequency, damping = worst_errors([(23.0, 0.03), (7.07, 0.01), (50.0, 0.5)], OWN["table"])
+    assert (frequency, damping) == pytest.approx((0.01, 0.5))
+    assert worst_errors([(7.0, 0.01)], OWN["table"])[0] > 0.5
+
+
+def test_worst_over_seeds_is_none_where_a_method_refused_one_and_says_how_many():
+    trials = [trial_of(0, 1.0), trial_of(1, 0.98, OWN["table"]), trial_of(2, 1.01), trial_of(8, 2.0)]
+    assert worst_of("ours", "table_600", trials, OWN)["frequency_error"] == pytest.approx(0.02), "of seeds 0 to 7"
+    assert worst_of("paper", "table_600", trials, OWN) == {
+        "frequency_error": None,
+        "damping_error": None,
+        "failed": "unstable poles",
+        "failed_seeds": 2,
+    }
+
+
+def test_coverage_is_the_share_of_frequencies_and_damping_ratios_in_their_intervals():
+    assert coverage("table", [trial_of(0, 1.0), trial_of(1, 1.0015)], OWN) == 1.0
+    assert coverage("table", [trial_of(0, 1.0), trial_of(1, 1.0025)], OWN) == 0.75, "two frequencies of eight are not"
+
+
+def test_true_pairs_are_the_buildings_from_the_table_and_all_six_from_the_command(rig):
+    pairs = true_pairs(rig)
+    assert (len(pairs["table"]), len(pairs["command"]), len(pairs["common"])) == (3, 6, 6)
+    assert pairs["command"][:3] == pairs["table"]
+
+
+def test_subspace_identification_refuses_an_excitation_with_too_few_lines(rig, laboratory_of):
+    few = laboratory_of(rig, 1).multisine_test(False, True, 2)
+    with pytest.raises(AbraceError, match=r"bags/multisine: IB01AD warns 5, .* rank-deficient, expected full rank"):
+        n4sid_poles(few, "U", 13)

@@ -37,18 +37,25 @@ def test_a_good_test_passes_whole_and_without_a_word(short_test, command_test):
         assert np.array_equal(prepared.run.command, run.command)
 
 
-def test_trends_are_removed_from_what_is_measured(short_test):
+def test_a_line_is_taken_from_a_response_to_noise_and_the_mean_from_a_periodic_one(short_test):
     time = short_test.time[:, None]
     drifting = replace(short_test, outputs=short_test.outputs + np.ptp(short_test.outputs, axis=0) * (2 + time / 20))
     scale = np.std(short_test.outputs, axis=0)
-    level, straight = (prepare(drifting, ["w"], BAND, trend).run.outputs for trend in ("mean", "line"))
+    straight, level = (prepare(drifting, ["w"], BAND, period).run.outputs for period in (None, 5000))
     assert np.allclose(level.mean(axis=0) / scale, 0, atol=1e-9)
+    assert np.abs((level - drifting.outputs + drifting.outputs.mean(axis=0)) / scale).max() < 1e-9
     slope = (straight * (time - time.mean())).mean(axis=0) / scale
     assert np.allclose(slope, 0, atol=1e-9)
-    expected = prepare(short_test, ["w"], BAND, "line").run.outputs
+    expected = prepare(short_test, ["w"], BAND).run.outputs
     assert np.abs((straight - expected) / scale).max() < 1e-9
-    with pytest.raises(AbraceError, match="trend 'curve', expected 'mean' or 'line'"):
-        prepare(short_test, ["w"], BAND, "curve")
+
+
+def test_peaks_that_a_periodic_input_repeats_are_not_clipped(rig, laboratory_of):
+    run = laboratory_of(rig).multisine_test(False, True, periods=12, period=16.384)
+    warned, quiet = (prepare(run, ["U"], (0.3, 30.0), period).warnings for period in (None, 8192))
+    assert len(warned) == 1
+    assert "U is clipped" in warned[0]
+    assert quiet == ()
 
 
 def test_the_longest_whole_piece_of_a_broken_record_is_used_and_said(short_test):

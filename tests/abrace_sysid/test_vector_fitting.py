@@ -44,7 +44,7 @@ def test_unstable_poles_are_refused_and_shown_to_who_asks_for_all(exact):
     growing = replace(exact, response=exact.response.conj())
     with pytest.raises(AbraceError, match="vector fitting of order 14: unstable poles"):
         vector_fitting(growing, 14)
-    assert (fit_common_poles(growing, 14).poles.real > 0).any()
+    assert (fit_common_poles(growing, 14, np.ones(growing.response.shape)).poles.real > 0).any()
 
 
 def test_starting_poles_are_the_strongest_pairs_and_the_servos(exact, rig):
@@ -66,8 +66,8 @@ def test_a_building_without_so_many_modes_is_an_error_that_says_what_to_do(exact
 def test_orders_and_lines_that_cannot_be_are_refused(exact):
     few = replace(exact, omega=exact.omega[:8], response=exact.response[:8], sigma=exact.sigma[:8])
     with pytest.raises(AbraceError, match="order 14 and 8 frequency lines"):
-        fit_common_poles(few, 14)
+        fit_common_poles(few, 14, np.ones(few.response.shape))
     with pytest.raises(AbraceError, match="not finite"):
-        fit_common_poles(replace(exact, response=exact.response * np.nan), 4)
+        fit_common_poles(replace(exact, response=exact.response * np.nan), 4, np.ones(exact.response.shape))
     with pytest.raises(AbraceError, match="3 pairs and 5 real poles, expected"):
         starting_poles(exact, 3, 5)

@@ -64,9 +64,11 @@ def test_the_campaign_in_the_page_is_a_valid_one(tmp_path):
     assert len(load_campaign(tmp_path / "campaign.yaml").steps) == 7
 
 
-def test_python_examples_name_what_there_is():
-    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/bags.md").read_text(), re.DOTALL)
-    for node in ast.walk(ast.parse(example)):
+@pytest.mark.parametrize("page", ["bags", "identification"])
+def test_python_examples_name_what_there_is(page):
+    examples = re.findall(r"```python\n(.*?)```", (ROOT / f"docs/{page}.md").read_text(), re.DOTALL)
+    assert examples
+    for node in ast.walk(ast.parse("".join(examples))):
         if isinstance(node, ast.ImportFrom):
             module = importlib.import_module(node.module)
             for alias in node.names:

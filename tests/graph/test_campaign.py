@@ -83,6 +83,28 @@ def test_a_campaign_records_every_sample_shows_progress_and_reports(tmp_path, en
     assert not nodes_of(tmp_path)
 
 
+def test_multisines_on_table_and_command_at_once_give_a_model(tmp_path, environment):
+    both = """{duration: 66.0,
+      ground_motion: {record: multisine, rms: 0.25, band: [0.3, 10.0], seed: 1, period: 16.384},
+      excitation: {signal: multisine, rms: 1800.0, band: [0.3, 30.0], seed: 1, period: 16.384, lines: even}}"""
+    path = campaign(
+        tmp_path,
+        f"{{name: both, test: {both}}}",
+        "{name: model, identify: {table: both, command: both}}",
+        "{name: check, validate: {test: both, model: model}}",
+    )
+    process = start(tmp_path, environment, "campaign", str(path))
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    summary = json.loads((tmp_path / "results/short/summary.json").read_text())
+    for test in ("table", "command"):
+        error = summary["poles"][test]["largest_relative_error"]
+        assert error["frequency"] < 0.001
+        assert error["damping_ratio"] < 0.05
+    assert min(row["correlation"] for row in summary["simulated_vs_measured"].values()) > 0.999
+    assert set(summary["other_models"]) == {"superposed", "reduced"}
+
+
 def test_a_node_that_dies_ends_the_campaign_with_its_name_and_last_lines(tmp_path, environment):
     path = campaign(tmp_path, f"{{name: shaken, test: {{duration: 600.0, ground_motion: {NOISE}}}}}")
     process = start(tmp_path, environment, "campaign", str(path))

@@ -1,6 +1,7 @@
 """The offline nodes as processes: from bags to a model, a controller, a comparison; and what wrong input gives."""
 
 import json
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -95,11 +96,41 @@ def test_bags_become_a_model_the_model_a_controller_and_both_are_compared(bags, 
     assert law.inputs == ("a1", "a2", "a3")
     assert law.sample_period == 0.002
 
-    ended = run_node("abrace_sysid", "validate", bag=bags["check"], model=model / "model.json", output=comparison)
+    ended = run_node(
+        "abrace_sysid",
+        "validate",
+        bag=bags["check"],
+        model=model / "model.json",
+        other_models=f"[{model / 'superposed.json'}, {model / 'reduced.json'}]",
+        output=comparison,
+    )
     assert ended.returncode == 0, ended.stderr
-    channels = json.loads((comparison / "comparison.json").read_text())["simulated_vs_measured"]
-    assert set(channels) == {"x1", "x2", "x3", "xf", "a1", "a2", "a3", "f"}
-    assert min(channel["correlation"] for channel in channels.values()) > 0.98
+    found = json.loads((comparison / "comparison.json").read_text())
+    assert set(found["other_models"]) == {"superposed", "reduced"}
+    for prediction, least in ((found, 0.998), *((other, 0.98) for other in found["other_models"].values())):
+        channels = prediction["simulated_vs_measured"]
+        assert set(channels) == {"x1", "x2", "x3", "xf", "a1", "a2", "a3", "f"}
+        assert min(channel["correlation"] for channel in channels.values()) > least
+    assert found["peak_rms_error"] < 0.01
+    assert all(
+        row["noise_free_error"] <= row["normalised_rms_error"] for row in found["simulated_vs_measured"].values()
+    )
+
+
+def test_a_bag_that_was_cut_off_is_used_as_far_as_it_goes_and_says_so(bags, tmp_path):
+    cut = tmp_path / "cut"
+    shutil.copytree(bags["table"], cut)
+    (cut / "metadata.yaml").unlink()
+    (recorded,) = cut.glob("*.mcap")
+    with recorded.open("r+b") as file:
+        file.truncate(int(0.9 * recorded.stat().st_size))
+    model = tmp_path / "model"
+    ended = run_node("abrace_sysid", "identify", table=cut, command=bags["command"], output=model)
+    assert ended.returncode == 0, ended.stderr
+    assert "cut" in ended.stderr
+    seconds = json.loads((model / "model.json").read_text())["provenance"]["seconds"]
+    assert seconds["table"][0] == pytest.approx(0.9 * SECONDS, abs=1.0)
+    assert seconds["command"][0] == pytest.approx(SECONDS, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -115,6 +146,8 @@ def test_bags_become_a_model_the_model_a_controller_and_both_are_compared(bags, 
             {"table": "{table}", "command": "{command}", "output": "o", "method": "x"},
             "welch",
         ),
+        ("abrace_sysid", "identify", {"table": "{table}", "command": "[]", "output": "o"}, "parameter command"),
+        ("abrace_plant", "ground_motion", {"record": "multisine", "duration": "80.0"}, "frequency above 0"),
         ("abrace_sysid", "validate", {"bag": "{check}", "model": "no.json", "output": "o"}, "model file no.json"),
         ("abrace_lqg", "design", {"model": "no.json", "output": "o.yaml"}, "model file no.json"),
         ("abrace_lqg", "design", {"model": "bad.json", "output": "o.yaml"}, "not JSON"),

@@ -20,31 +20,30 @@ import numpy as np
 
 from abrace_bringup.campaign_file import (
     CONTROLLER_FILE,
-    BandedNoise,
     Campaign,
     Design,
     Identify,
     Record,
     RigTest,
     Validate,
-    WhiteNoise,
     load_campaign,
 )
 from abrace_bringup.onlooker import Onlooker
 from abrace_bringup.parameters import parameter_file
 from abrace_bringup.processes import ProcessGroup, find_executable
 from abrace_bringup.progress import Progress
-from abrace_bringup.report import PAPER_POLES
 from abrace_core.controller_file import load_controller
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import pole_table
 from abrace_core.node import find_file
+from abrace_plant.published import PAPER_POLES
 from abrace_plant.rig_file import load_rig
 from abrace_sysid import figures
 
 if TYPE_CHECKING:
+    import pydantic
     from numpy.typing import NDArray
 
     from abrace_bringup.progress import Step as ShownStep
@@ -107,14 +106,14 @@ class Runner:
         rate, duration = self.rig.sample_rate, test.duration
         if test.excitation:
             inputs["brace_command"] = "excitation"
-            drive = {**_noise(test.excitation), "duration": duration, "sample_rate": rate}
+            drive = {**_given(test.excitation), "duration": duration, "sample_rate": rate}
             nodes.append(("abrace_sysid", "excitation", {**drive, "force_limit": self.rig.capacity.tolist()}))
         if test.controller:
             inputs["brace_command"] = "controller"
             nodes.append(("abrace_lqg", "controller", {"name": test.controller}))
         if test.ground_motion:
             inputs["ground_motion"] = "ground_motion"
-            motion = _motion(test.ground_motion)
+            motion = _given(test.ground_motion)
             nodes.append(("abrace_plant", "ground_motion", {**motion, "duration": duration, "sample_rate": rate}))
         if lockstep and not inputs:
             raise AbraceError(f"step {name}: a lockstep test without any input, expected ground motion or commands")
@@ -196,8 +195,8 @@ class Runner:
                     "abrace_sysid",
                     "identify",
                     {
-                        "table": str(self.bags / table),
-                        "command": str(self.bags / command),
+                        "table": [str(self.bags / name) for name in table],
+                        "command": [str(self.bags / name) for name in command],
                         "output": str(output),
                         "servo_lag": lag,
                     },
@@ -220,18 +219,18 @@ class Runner:
                     },
                 )
             case Validate(test=test, uncontrolled=uncontrolled, model=model, controller=controller):
-                self.run_offline(
-                    name,
-                    "abrace_sysid",
-                    "validate",
-                    {
-                        "bag": str(self.bags / test),
-                        "uncontrolled": str(self.bags / uncontrolled),
-                        "model": str(self.results / model / "model.json"),
-                        "controller": str(self.controller_file(controller)),
-                        "output": str(output),
-                    },
-                )
+                models = self.results / model
+                parameters = {
+                    "bag": str(self.bags / test),
+                    "model": str(models / "model.json"),
+                    "other_models": [str(models / f"{other}.json") for other in ("superposed", "reduced")],
+                    "output": str(output),
+                }
+                if uncontrolled is not None:
+                    parameters["uncontrolled"] = str(self.bags / uncontrolled)
+                if controller is not None:
+                    parameters["controller"] = str(self.controller_file(controller))
+                self.run_offline(name, "abrace_sysid", "validate", parameters)
                 shutil.copy(output / "comparison.json", self.results / "comparison.json")
         return {}
 
@@ -289,14 +288,9 @@ def _complex(pairs: list[dict[str, float]]) -> NDArray[np.complex128]:
     return frequency * (-damping + 1j * np.sqrt(1 - damping**2))
 
 
-def _noise(noise: BandedNoise) -> dict[str, Any]:
-    return {"rms": noise.rms, "band": list(noise.band), "seed": noise.seed}
-
-
-def _motion(motion: WhiteNoise | Record) -> dict[str, Any]:
-    if isinstance(motion, WhiteNoise):
-        return {"record": motion.record, **_noise(motion)}
-    return {"record": motion.record, "peak_acceleration": motion.peak_acceleration}
+def _given(drive: pydantic.BaseModel) -> dict[str, Any]:
+    """A signal or record of the campaign file as parameters of its node, whose names are the same."""
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in drive.model_dump().items()}
 
 
 def run_campaign(path: Path) -> Path:

@@ -19,7 +19,9 @@ Positive = Annotated[float, pydantic.Field(gt=0, strict=True)]
 NonNegative = Annotated[float, pydantic.Field(ge=0, strict=True)]
 Text = Annotated[str, pydantic.Field(min_length=1)]
 
-WHITE_NOISE = "white_noise"
+Lines = Literal["all", "odd", "even"]
+
+WHITE_NOISE, MULTISINE = "white_noise", "multisine"
 CONTROLLER_FILE = ".yaml"
 _FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
@@ -47,10 +49,52 @@ class BandedNoise(Checked):
     seed: Annotated[int, pydantic.Field(ge=0, strict=True)]
 
 
+class Multisine(BandedNoise):
+    """A periodic multisine: as many whole periods [s] as fit in a test, on "all", "odd" or "even" lines."""
+
+    period: Positive = 32.768
+    lines: Lines = "odd"
+    slope: Annotated[float, pydantic.Field(strict=True)] = 0.0
+
+    @pydantic.model_validator(mode="after")
+    def _above_zero(self) -> Multisine:
+        if self.band[0] == 0:
+            raise ValueError("a band that begins above 0 Hz: displacement grows with 1 / frequency^2")
+        return self
+
+
+class ExcitationNoise(BandedNoise):
+    """Brace commands of banded white noise: rms [N]."""
+
+    signal: Literal["white_noise"] = "white_noise"
+
+
+class ExcitationMultisine(Multisine):
+    """Brace commands of a multisine: rms [N]."""
+
+    signal: Literal["multisine"]
+
+
+def _signal(content: object) -> object:
+    return content.get("signal", WHITE_NOISE) if isinstance(content, dict) else getattr(content, "signal", None)
+
+
+Excitation = Annotated[
+    Annotated[ExcitationNoise, pydantic.Tag(WHITE_NOISE)] | Annotated[ExcitationMultisine, pydantic.Tag(MULTISINE)],
+    pydantic.Discriminator(_signal),
+]
+
+
 class WhiteNoise(BandedNoise):
     """A table motion of banded white noise: rms [m/s^2]."""
 
     record: Literal["white_noise"]
+
+
+class MultisineMotion(Multisine):
+    """A table motion of a multisine: rms [m/s^2]."""
+
+    record: Literal["multisine"]
 
 
 class Record(Checked):
@@ -60,13 +104,15 @@ class Record(Checked):
     peak_acceleration: NonNegative = 0.0
 
 
-def _motion_kind(content: object) -> str:
+def _motion_kind(content: object) -> object:
     record = content.get("record") if isinstance(content, dict) else getattr(content, "record", None)
-    return WHITE_NOISE if record == WHITE_NOISE else "record"
+    return record if record in (WHITE_NOISE, MULTISINE) else "record"
 
 
 GroundMotion = Annotated[
-    Annotated[WhiteNoise, pydantic.Tag(WHITE_NOISE)] | Annotated[Record, pydantic.Tag("record")],
+    Annotated[WhiteNoise, pydantic.Tag(WHITE_NOISE)]
+    | Annotated[MultisineMotion, pydantic.Tag(MULTISINE)]
+    | Annotated[Record, pydantic.Tag("record")],
     pydantic.Discriminator(_motion_kind),
 ]
 
@@ -79,15 +125,25 @@ class RigTest(Checked):
 
     duration: Positive
     ground_motion: GroundMotion | None = None
-    excitation: BandedNoise | None = None
+    excitation: Excitation | None = None
     controller: Text | None = None
 
 
-class Identify(Checked):
-    """A model from the bags of two tests: of the table alone, and of the command alone."""
+def _listed(value: object) -> object:
+    return [value] if isinstance(value, str) else value
 
-    table: Text
-    command: Text
+
+Tests = Annotated[tuple[Text, ...], pydantic.Field(min_length=1), pydantic.BeforeValidator(_listed)]
+
+
+class Identify(Checked):
+    """A model from the bags of tests of the table alone, and of the command alone, one or several of each.
+
+    The same tests for both: multisines on table and command at once.
+    """
+
+    table: Tests
+    command: Tests
 
 
 class Design(Checked):
@@ -98,12 +154,12 @@ class Design(Checked):
 
 
 class Validate(Checked):
-    """A controlled test against its simulation by a model, and against the same test without control."""
+    """A test against its simulation by a model; one with a controller also against the same test without control."""
 
     test: Text
-    uncontrolled: Text
     model: Text
-    controller: Text
+    uncontrolled: Text | None = None
+    controller: Text | None = None
 
 
 Task = RigTest | Identify | Design | Validate
@@ -201,41 +257,48 @@ def _check_references(where: str, task: Task, earlier: dict[str, Task]) -> None:
                 expected = f"an earlier design step or a file that ends in {CONTROLLER_FILE}"
                 refer("test.controller", controller, Design, expected)
         case Identify():
-            refer("identify.table", task.table, RigTest, "an earlier test of the table alone", _moves_table_alone)
-            refer(
-                "identify.command",
-                task.command,
-                RigTest,
-                "an earlier test with excitation alone",
-                lambda test: test.excitation is not None and test.ground_motion is None,
-            )
+            of_table = (_moves_table_alone, "an earlier test of the table alone")
+            of_command = (_pushes_alone, "an earlier test with excitation alone")
+            if task.table == task.command and any(_is_test_that(_moves_both, earlier.get(n)) for n in task.table):
+                of_table = of_command = (_moves_both, "an earlier test of multisines on table and command")
+            for key, names, (fits, expected) in (
+                ("table", task.table, of_table),
+                ("command", task.command, of_command),
+            ):
+                for name in names:
+                    refer(f"identify.{key}", name, RigTest, expected, fits)
         case Design():
             refer("design.model", task.model, Identify, "an earlier identify step")
         case Validate():
-            controlled = refer(
-                "validate.test",
-                task.test,
-                RigTest,
-                "an earlier test with ground motion and controller",
-                lambda test: test.ground_motion is not None and test.controller is not None,
-            )
-            refer(
-                "validate.uncontrolled",
-                task.uncontrolled,
-                RigTest,
-                f"an earlier test without control and with the ground motion and duration of {task.test}",
-                lambda test: (
-                    _moves_table_alone(test)
-                    and (test.ground_motion, test.duration) == (controlled.ground_motion, controlled.duration)
-                ),
-            )
+            test = refer("validate.test", task.test, RigTest, "an earlier test")
             refer("validate.model", task.model, Identify, "an earlier identify step")
-            if task.controller != controlled.controller:
-                raise AbraceError(
-                    f"{where}: validate.controller: {task.controller!r}, "
-                    f"expected {controlled.controller!r}, which test {task.test} runs"
+            if task.controller != test.controller:
+                runs = f"{test.controller!r}, which test {task.test} runs" if test.controller else "none"
+                raise AbraceError(f"{where}: validate.controller: {task.controller!r}, expected {runs}")
+            if task.uncontrolled is not None:
+                refer(
+                    "validate.uncontrolled",
+                    task.uncontrolled,
+                    RigTest,
+                    f"an earlier test without control and with the ground motion and duration of {task.test}",
+                    lambda other: (
+                        _moves_table_alone(other)
+                        and (other.ground_motion, other.duration) == (test.ground_motion, test.duration)
+                    ),
                 )
 
 
 def _moves_table_alone(test: RigTest) -> bool:
     return test.ground_motion is not None and test.excitation is None and test.controller is None
+
+
+def _pushes_alone(test: RigTest) -> bool:
+    return test.excitation is not None and test.ground_motion is None
+
+
+def _moves_both(test: RigTest) -> bool:
+    return isinstance(test.excitation, Multisine) and isinstance(test.ground_motion, Multisine)
+
+
+def _is_test_that(fits: Callable[[RigTest], bool], task: Task | None) -> bool:
+    return isinstance(task, RigTest) and fits(task)

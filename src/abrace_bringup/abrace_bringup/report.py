@@ -9,28 +9,28 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from abrace_bringup.results import AllPoles, Cells, Comparison, Facts, Pole, Poles, Results, Timing, read_results
+from abrace_bringup.results import (
+    AllPoles,
+    Cells,
+    Comparison,
+    Facts,
+    Pole,
+    Poles,
+    Prediction,
+    Results,
+    Timing,
+    read_results,
+)
 from abrace_bringup.table import Table
 from abrace_core.files import write_text
 from abrace_core.response import TABLE_1_EXPERIMENT, TABLE_1_SIMULATION, PeakRms, mean_relative_error, paper_unit
+from abrace_plant.published import PAPER_POLES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from abrace_core.config_file import Checked
 
-PAPER_POLES = {
-    "table": (-0.110 + 7.275j, -0.545 + 22.846j, -0.468 + 37.939j),
-    "command": (
-        -0.111 + 7.254j,
-        -0.481 + 23.316j,
-        -0.448 + 37.896j,
-        -0.696 + 56.549j,
-        -0.532 + 105.277j,
-        -8.263 + 134.815j,
-    ),
-}
-"""Eigenvalues of A1 and A2 [rad/s]."""
 SAME_POLE = 0.05
 """Relative difference in frequency within which two poles are taken for the same."""
 PAPER_ERROR = mean_relative_error(TABLE_1_SIMULATION, TABLE_1_EXPERIMENT)
@@ -60,8 +60,10 @@ def summarise(results: Results) -> dict[str, Any]:
                 "error_vs_paper_experiment": _error_vs_paper(comparison, comparison.measured),
                 "simulated_error_vs_paper_experiment": _error_vs_paper(comparison, comparison.simulated),
             },
-            "uncontrolled": _dumped(comparison.uncontrolled),
+            "uncontrolled": _dumped(comparison.uncontrolled) if comparison.uncontrolled else None,
             "simulated_vs_measured": _dumped(comparison.simulated_vs_measured),
+            "peak_rms_error": comparison.peak_rms_error,
+            "other_models": _dumped(comparison.other_models),
         }
     return summary
 
@@ -112,7 +114,10 @@ def tables(results: Results) -> list[Table]:
     if results.poles is not None:
         found += [_pole_table(test, poles) for test, poles in _by_test(results.poles)]
     if (comparison := results.comparison) is not None:
-        found += [_table_1(comparison), _reduction_table(comparison), _agreement_table(comparison)]
+        found.append(_table_1(comparison))
+        if comparison.uncontrolled is not None:
+            found.append(_reduction_table(comparison, comparison.uncontrolled))
+        found.append(_agreement_table(comparison))
     return [*found, _timing_table(results.timing)]
 
 
@@ -164,13 +169,13 @@ def _table_1(comparison: Comparison) -> Table:
     return Table(f"Table 1: {facts.controller}, {_motion(facts)}", header, tuple(rows), notes)
 
 
-def _reduction_table(comparison: Comparison) -> Table:
+def _reduction_table(comparison: Comparison, uncontrolled: Mapping[str, Cells]) -> Table:
     rows = []
     for name, controlled in comparison.measured.items():
         row = [_quantity(name)]
         for before, after in (
-            (comparison.uncontrolled[name].peak, controlled.peak),
-            (comparison.uncontrolled[name].rms, controlled.rms),
+            (uncontrolled[name].peak, controlled.peak),
+            (uncontrolled[name].rms, controlled.rms),
         ):
             reduction = _number(100 * (1 - after / before) if before else None, ".1f")
             row += [_cell(name, before), _cell(name, after), reduction]
@@ -183,14 +188,16 @@ def _reduction_table(comparison: Comparison) -> Table:
 
 
 def _agreement_table(comparison: Comparison) -> Table:
-    return Table(
-        "Simulated by the identified model against measured",
-        ("", "correlation", "rms error / rms"),
-        tuple(
-            (name, f"{row.correlation:.4f}", f"{row.normalised_rms_error:.4f}")
-            for name, row in comparison.simulated_vs_measured.items()
-        ),
-    )
+    header = ("", "correlation", "rms error / rms", "without sensor noise", *comparison.other_models)
+    rows = []
+    for channel, row in comparison.simulated_vs_measured.items():
+        others = [other.simulated_vs_measured[channel].noise_free_error for other in comparison.other_models.values()]
+        errors = (row.normalised_rms_error, row.noise_free_error, *others)
+        rows.append((channel, f"{row.correlation:.4f}", *(f"{error:.4f}" for error in errors)))
+    models: dict[str, Prediction] = {"model": comparison, **comparison.other_models}
+    means = ", ".join(f"{name} {100 * prediction.peak_rms_error:.1f} %" for name, prediction in models.items())
+    note = f"Mean error of peaks and rms: {means}"
+    return Table("Simulated by the identified models against measured", header, tuple(rows), (note,))
 
 
 def _timing_table(timing: Timing) -> Table:

@@ -8,11 +8,15 @@ poles.json, from an identify step; frequencies [rad/s], slowest first; `true` is
      "command": {"identified": [...], "true": [...]}}
 
 comparison.json, from a validate step; every quantity of the rig in the same order in all three; cm, g, kgf
-(`abrace_core.response.in_paper_units`); channels that never move may be missing in `simulated_vs_measured`::
+(`abrace_core.response.in_paper_units`); channels that never move may be missing in `simulated_vs_measured`;
+`uncontrolled` is null where there is no such test to set beside::
 
     {"test": {"record": "el_centro", "peak_acceleration": 0.980665, "controller": "lqg3"},
      "measured": {"x1": {"peak": 1.10, "rms": 0.16}, ..., "U": {...}}, "simulated": {...}, "uncontrolled": {...},
-     "simulated_vs_measured": {"x1": {"correlation": 0.998, "normalised_rms_error": 0.05}, ...}}
+     "simulated_vs_measured": {"x1": {"correlation": 0.998, "normalised_rms_error": 0.05, "noise_free_error": 0.04},
+                               ...},
+     "peak_rms_error": 0.01,
+     "other_models": {"reduced": {"simulated_vs_measured": {...}, "peak_rms_error": 0.03}, ...}}
 
 timing.json, from the campaign; `samples` and `run_seconds` (from the first sample to the last) for tests alone::
 
@@ -79,25 +83,35 @@ class Agreement(Checked):
 
     correlation: Annotated[float, pydantic.Field(ge=-1.000001, le=1.000001)]
     normalised_rms_error: NonNegative
+    noise_free_error: NonNegative
 
 
-class Comparison(Checked):
+class Prediction(Checked):
+    """How near a model's simulation came."""
+
+    simulated_vs_measured: dict[str, Agreement]
+    peak_rms_error: NonNegative
+
+
+class Comparison(Prediction):
     """comparison.json."""
 
     test: Facts
     measured: dict[str, Cells]
     simulated: dict[str, Cells]
-    uncontrolled: dict[str, Cells]
-    simulated_vs_measured: dict[str, Agreement]
+    uncontrolled: dict[str, Cells] | None
+    other_models: dict[str, Prediction]
 
     @pydantic.model_validator(mode="after")
     def _same_rows(self) -> Comparison:
         rows = list(self.measured)
         for name in ("simulated", "uncontrolled"):
-            if list(getattr(self, name)) != rows:
+            given = getattr(self, name)
+            if given is not None and list(given) != rows:
                 raise ValueError(f"{name} with the rows of measured, {' '.join(rows)}")
-        if not set(self.simulated_vs_measured) <= set(rows):
-            raise ValueError(f"simulated_vs_measured with rows of measured, {' '.join(rows)}")
+        for prediction in (self, *self.other_models.values()):
+            if not set(prediction.simulated_vs_measured) <= set(rows):
+                raise ValueError(f"simulated_vs_measured with rows of measured, {' '.join(rows)}")
         return self
 
     @property

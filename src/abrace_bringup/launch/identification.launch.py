@@ -1,29 +1,49 @@
-"""A white-noise test for identification in real time: rig, logger, and noise on the table or as command.
+"""A test for identification in real time: rig, logger, and white noise or multisines on the table, as command, or both.
 
 ros2 launch abrace_bringup identification.launch.py drive:=table bag:=bags/table_noise
 ros2 launch abrace_bringup identification.launch.py drive:=command bag:=bags/command_noise
+ros2 launch abrace_bringup identification.launch.py drive:=both bag:=bags/multisines
 """
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.conditions import IfCondition
-from launch.substitutions import EqualsSubstitution, LaunchConfiguration, PythonExpression
+from launch.substitution import Substitution
+from launch.substitutions import (
+    EqualsSubstitution,
+    IfElseSubstitution,
+    LaunchConfiguration,
+    OrSubstitution,
+    PythonExpression,
+)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 ARGUMENTS = {
     "namespace": ("rig", "namespace of all nodes"),
     "rig": ("ncree_three_storey", "rig: a name in abrace_plant's configuration or a file"),
-    "drive": (None, "table: white noise on the table; command: white noise as brace commands"),
-    "duration": ("300.0", "s of noise; the test ends five seconds later"),
+    "drive": (None, "what moves the rig; both: multisines on odd lines of the table and even ones of the command"),
+    "signal": ("white_noise", "of table or command; both at once are multisines in any case"),
+    "duration": ("300.0", "s of the signal; the test ends five seconds later"),
     "bag": (None, "bag (a new directory) to write"),
 }
 
 
+CHOICES = {"drive": ["table", "command", "both"], "signal": ["white_noise", "multisine"]}
+
+
+def _band(lowest: Substitution, highest: str) -> ParameterValue:
+    return ParameterValue(["[", lowest, ", ", highest, "]"], value_type=list[float])
+
+
 def generate_launch_description() -> LaunchDescription:
-    """Three nodes in one namespace."""
+    """Three or four nodes in one namespace."""
     given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
-    namespace = given["namespace"]
+    namespace, drive = given["namespace"], given["drive"]
+    is_both = EqualsSubstitution(drive, "both")
+    signal = IfElseSubstitution(is_both, "multisine", given["signal"])
+    # a multisine must not begin at 0 Hz: the table's stroke grows with 1 / frequency^2
+    lowest = IfElseSubstitution(EqualsSubstitution(signal, "multisine"), "0.3", "0.0")
     duration = ParameterValue(given["duration"], value_type=float)
     rig_duration = ParameterValue(PythonExpression([given["duration"], " + 5.0"]), value_type=float)
     return LaunchDescription(
@@ -33,7 +53,7 @@ def generate_launch_description() -> LaunchDescription:
                     name,
                     default_value=default,
                     description=description,
-                    choices=["table", "command"] if name == "drive" else None,
+                    choices=CHOICES.get(name),
                 )
                 for name, (default, description) in ARGUMENTS.items()
             ),
@@ -49,16 +69,23 @@ def generate_launch_description() -> LaunchDescription:
                 executable="ground_motion",
                 namespace=namespace,
                 output="screen",
-                parameters=[{"record": "white_noise", "duration": duration}],
-                condition=IfCondition(EqualsSubstitution(given["drive"], "table")),
+                parameters=[{"record": signal, "duration": duration, "band": _band(lowest, "10.0")}],
+                condition=IfCondition(OrSubstitution(is_both, EqualsSubstitution(drive, "table"))),
             ),
             Node(
                 package="abrace_sysid",
                 executable="excitation",
                 namespace=namespace,
                 output="screen",
-                parameters=[{"duration": duration}],
-                condition=IfCondition(EqualsSubstitution(given["drive"], "command")),
+                parameters=[
+                    {
+                        "signal": signal,
+                        "duration": duration,
+                        "band": _band(lowest, "30.0"),
+                        "lines": IfElseSubstitution(is_both, "even", "odd"),
+                    }
+                ],
+                condition=IfCondition(OrSubstitution(is_both, EqualsSubstitution(drive, "command"))),
             ),
             Node(
                 package="abrace_plant",

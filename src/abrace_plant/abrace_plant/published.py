@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 RIG = "ncree_three_storey"
 """Name of the rig file that describes it."""
 
@@ -13,8 +11,20 @@ BARE = ((6.673, 0.0081), (21.783, 0.0025), (37.506, 0.0034))
 ZERO_COMMAND = ((7.363, 0.0138), (22.933, 0.0246), (37.966, 0.0132))
 """The frame with braces under zero command, likewise."""
 
-_EXTRA_POLES = np.array([-0.696 + 56.549j, -0.532 + 105.277j, -8.263 + 134.815j])
-EXTRA = tuple((float(abs(pole)), float(-pole.real / abs(pole))) for pole in _EXTRA_POLES)
+PAPER_POLES = {
+    "table": (-0.110 + 7.275j, -0.545 + 22.846j, -0.468 + 37.939j),
+    "command": (
+        -0.111 + 7.254j,
+        -0.481 + 23.316j,
+        -0.448 + 37.896j,
+        -0.696 + 56.549j,
+        -0.532 + 105.277j,
+        -8.263 + 134.815j,
+    ),
+}
+"""Eigenvalues of A1, from the table test, and of A2, from the command test [rad/s] (Eqs. 3 and 4)."""
+
+EXTRA = tuple((abs(pole), -pole.real / abs(pole)) for pole in PAPER_POLES["command"][3:])
 """The three further pairs among the eigenvalues of A2, which the command excites, likewise (Eq. 4)."""
 
 BENCH_LAG = 0.0008

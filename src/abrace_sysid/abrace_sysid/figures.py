@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
+from scipy.ndimage import uniform_filter1d
 
 from abrace_core import signals
 from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
@@ -127,21 +128,24 @@ def hankel_singular_values(values: NDArray[np.float64], kept: int) -> Figure:
     return figure
 
 
-def reduction_errors(errors: OrderErrors, kept: int) -> Figure:
+def reduction_errors(errors: OrderErrors, kept: int, inputs: Sequence[str] = (signals.GROUND, "U")) -> Figure:
     """What each order of the reduced model costs: every channel's error for each input, and the order `kept`.
 
     Parameters
     ----------
     errors
-        Of all orders.
+        Of all orders; those below a millionth, where only rounding is left, are not shown.
     kept
         States of the reduced model.
+    inputs
+        Names of the model's inputs; by default those of a rig with one brace group.
     """
     figure = Figure(figsize=(6.4, 4.2), layout="constrained")
     axis = figure.subplots()
-    for j, colour in zip(range(errors.achieved.shape[2]), (MEASURED, SIMULATED) * 9, strict=False):
+    for j, (name, colour) in enumerate(zip(inputs, (MEASURED, SIMULATED) * 9, strict=False)):
         axis.semilogy(errors.orders, 100 * errors.achieved[:, :, j], color=colour, lw=0.9)
-        axis.plot([], [], color=colour, label=f"input {j + 1}, each channel")
+        axis.plot([], [], color=colour, label=f"from {_symbol(name)}, each channel")
+    axis.set_ylim(bottom=max(axis.get_ylim()[0], 1e-4))
     axis.axvline(kept, color=REFERENCE, ls="--", label=f"kept ({kept})")
     axis.set_xlabel("states of the reduced model")
     axis.set_ylabel("rms error of a channel's response [%]")
@@ -153,6 +157,8 @@ def reduction_errors(errors: OrderErrors, kept: int) -> Figure:
 def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Figure:
     """What a model leaves over of measured transfer functions, beside their uncertainty: a column each.
 
+    Each curve is the rms over the neighbouring hundredth of the lines: single ones scatter too much to be read.
+
     Parameters
     ----------
     measured
@@ -160,22 +166,23 @@ def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Fig
     fitted
         Continuous model.
     """
-    figure = Figure(figsize=(5.4 * len(measured), 7.2), layout="constrained")
+    figure = Figure(figsize=(5.4 * len(measured), 6.4), layout="constrained")
     axes = figure.subplots(2, len(measured), sharex="col", squeeze=False)
     for j, response in enumerate(measured):
         frequency = response.omega / (2 * np.pi)
         left_over = np.abs(_sampled(fitted, response, response.outputs) - response.response)
         size = np.sqrt(np.mean(np.abs(response.response) ** 2, axis=0))
-        for k, name in enumerate(response.outputs):
-            style = {"lw": 0.8, "label": _symbol(name)}
-            axes[0, j].semilogy(frequency, left_over[:, k] / size[k], **style)
-            axes[1, j].semilogy(frequency, np.maximum(left_over[:, k], 1e-300) / response.sigma[:, k], **style)
+        neighbours = max(1, len(frequency) // 100)
+        for axis, relative in zip(axes[:, j], (left_over / size, left_over / response.sigma), strict=True):
+            smooth = np.sqrt(uniform_filter1d(relative**2, neighbours, axis=0))
+            for name, column in zip(response.outputs, smooth.T, strict=True):
+                axis.semilogy(frequency, column, lw=1.0, label=_symbol(name))
         axes[0, j].set_title(f"from {_symbol(response.input)}")
-        axes[0, j].set_ylabel("residual over rms response [-]")
-        axes[1, j].set_ylabel("residual over standard deviation [-]")
         axes[1, j].axhline(1.0, color=REFERENCE, lw=0.8)
         axes[1, j].set_xlabel("frequency [Hz]")
-    axes[0, 0].legend(loc="best", fontsize=7, ncols=2)
+    axes[0, 0].set_ylabel("residual over rms response [-]")
+    axes[1, 0].set_ylabel("residual over standard deviation [-]")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", fontsize="small", ncols=8)
     for axis in axes.flat:
         axis.grid(alpha=0.3)
     return figure
@@ -201,19 +208,20 @@ def confidence(sets: Mapping[str, Sequence[PoleInterval]]) -> Figure:
             if i >= len(pairs):
                 continue
             pair = pairs[i]
-            x, y = 100 * (pair.frequency / centre.frequency - 1), 100 * (pair.damping / centre.damping - 1)
-            width = 200 * radius * pair.frequency_deviation / centre.frequency
-            height = 200 * radius * pair.damping_deviation / centre.damping
+            x, y = 1e6 * (pair.frequency / centre.frequency - 1), 1e6 * (pair.damping / centre.damping - 1)
+            width = 2e6 * radius * pair.frequency_deviation / centre.frequency
+            height = 2e6 * radius * pair.damping_deviation / centre.damping
             axis.plot(x, y, ".", color=colour, label=label)
             axis.add_patch(Ellipse((x, y), width, height, fill=False, color=colour))
         axis.autoscale_view()
         axis.set_title(f"{centre.frequency:.3f} rad/s, {100 * centre.damping:.3f} %")
-        axis.set_xlabel("frequency [% of it]")
-        axis.set_ylabel("damping ratio [% of it]")
+        axis.set_xlabel("frequency [1e-6 of it]")
+        axis.set_ylabel("damping ratio [1e-6 of it]")
+        axis.locator_params(nbins=5)
         axis.grid(alpha=0.3)
     for axis in axes.flat[len(reference) :]:
         axis.set_axis_off()
-    axes[0, 0].legend(loc="best", fontsize=7)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=len(sets))
     return figure
 
 

@@ -13,7 +13,7 @@ from abrace_core.errors import AbraceError
 from abrace_sysid.local_polynomial import local_polynomial, local_rational, local_responses
 from abrace_sysid.spectra import LEAST_BANDWIDTH, ORDER, all_of, automatic_half_width, held_input
 from abrace_sysid.transfer_function import FrequencyResponse, fitted_delay, hold_and_delay
-from abrace_sysid.welch import welch
+from abrace_sysid.welch import Estimator, welch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,12 +33,15 @@ __all__ = [
     "welch",
 ]
 
+LONGEST_SEGMENT = 32768
+"""Samples in a piece of Welch's method: 65 s at 500 Hz, lines of 0.015 Hz."""
+
 Method = Literal["local_rational", "local_polynomial", "welch"]
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A method and its settings; what is None follows from the record.
+    """A method and its settings; what is 0 follows from the record.
 
     The default is the local rational method for every record: worst channel's rms error in % over the band, worst of
     three seeds, 65 dB sensors, every other method at its best settings:
@@ -59,15 +62,20 @@ class Choice:
         Of the local methods. By default 2 and what `automatic_half_width` says of record and damping for the rational
         one, 4 and 6 for the polynomial one.
     segment
-        Samples in each piece of Welch's method.
+        Samples in each piece of Welch's method. By default 32768, or what gives a shorter record four pieces.
+    window, overlap, estimator
+        Of Welch's method, see `welch`.
     bandwidth
         2 zeta omega [rad/s] of the least damped mode expected.
     """
 
     method: Method = "local_rational"
-    order: int | None = None
-    half_width: int | None = None
-    segment: int = 32768
+    order: int = 0
+    half_width: int = 0
+    segment: int = 0
+    window: str = "hann"
+    overlap: float = 0.5
+    estimator: Estimator = "H1"
     bandwidth: float = LEAST_BANDWIDTH
 
 
@@ -94,17 +102,17 @@ def frequency_responses(
     """
     choice = choice or Choice()
     runs = all_of(run)
+    shortest = min(len(each.outputs) for each in runs)
     if choice.method == "welch":
-        return tuple(welch(runs, name, band, choice.segment) for name in inputs)
+        segment = choice.segment or min(LONGEST_SEGMENT, shortest // 4)
+        return tuple(
+            welch(runs, name, band, segment, choice.estimator, choice.window, choice.overlap) for name in inputs
+        )
     if choice.method == "local_polynomial":
-        order = 4 if choice.order is None else choice.order
-        half_width = 6 if choice.half_width is None else choice.half_width
-        return local_responses(runs, inputs, band, order, half_width, poles=0)
+        return local_responses(runs, inputs, band, choice.order or 4, choice.half_width or 6, poles=0)
     if choice.method == "local_rational":
-        seconds = min(len(each.outputs) for each in runs) * runs[0].sample_period
-        order = ORDER if choice.order is None else choice.order
-        automatic = automatic_half_width(seconds, len(inputs), choice.bandwidth)
-        half_width = automatic if choice.half_width is None else choice.half_width
-        return local_responses(runs, inputs, band, order, half_width)
+        seconds = shortest * runs[0].sample_period
+        half_width = choice.half_width or automatic_half_width(seconds, len(inputs), choice.bandwidth)
+        return local_responses(runs, inputs, band, choice.order or ORDER, half_width)
     expected = "'local_rational', 'local_polynomial' or 'welch'"
     raise AbraceError(f"transfer functions: method {choice.method!r}, expected {expected}")

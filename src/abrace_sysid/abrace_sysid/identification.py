@@ -21,7 +21,7 @@ from abrace_sysid.consistent import consistent_model, realize_together
 from abrace_sysid.frequency_response import Choice, frequency_responses
 from abrace_sysid.periodic_response import find_period, periodic_response
 from abrace_sysid.pole_fits import FIT_METHODS, PoleFit, fit_poles_of
-from abrace_sysid.realization import realize, superpose
+from abrace_sysid.realization import realize, superpose, unexplained
 from abrace_sysid.recordings import prepare, require_at_rest
 from abrace_sysid.reduction import Reduction, balanced_truncation, typical_scales
 from abrace_sysid.spectra import held_input
@@ -33,6 +33,10 @@ if TYPE_CHECKING:
 
     from abrace_core.linear_model import LinearModel
     from abrace_sysid.frequency_response import FrequencyResponse
+
+
+POOR_FIT = 0.1
+"""Share of a channel's response, rms over the band, that a model may leave over without a warning."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,8 @@ class Identification:
         The consistent model before its copies were merged.
     reduction
         Eq. (9): the reduced model and the Hankel singular values of `whole`.
+    warnings
+        What a reader should know of the bags and of the fit, each sentence once.
     """
 
     table: TestData
@@ -126,6 +132,7 @@ class Identification:
     superposed: LinearModel
     whole: LinearModel
     reduction: Reduction
+    warnings: tuple[str, ...]
 
     @property
     def reduced(self) -> LinearModel:
@@ -141,11 +148,6 @@ class Identification:
     def command_response(self) -> FrequencyResponse:
         """Transfer functions from the command."""
         return self.command.responses[0]
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a reader should know of the bags, each sentence once."""
-        return tuple(dict.fromkeys((*self.table.warnings, *self.command.warnings)))
 
     @property
     def hankel_singular_values(self) -> NDArray[np.float64]:
@@ -220,7 +222,32 @@ def identify(
     reduction = balanced_truncation(whole, options.reduced_order, typical_scales(whole, options.command_band))
     reduced = replace(reduction.model, provenance={**provenance, "states": "consistent, balanced and cut, Eq. (9)"})
     progress("identified", 1.0)
-    return Identification(from_table, from_command, poles, model, superposed, whole, replace(reduction, model=reduced))
+    said = (*from_table.warnings, *from_command.warnings, *_misfits(model, from_table), *_misfits(model, from_command))
+    return Identification(
+        from_table,
+        from_command,
+        poles,
+        model,
+        superposed,
+        whole,
+        replace(reduction, model=reduced),
+        tuple(dict.fromkeys(said)),
+    )
+
+
+def _misfits(model: LinearModel, data: TestData) -> tuple[str, ...]:
+    """A sentence if the model leaves more of a test's channels unexplained than their noise does."""
+    measured = data.responses[0]
+    noise = np.sqrt(np.mean(measured.sigma**2, axis=0) / np.mean(np.abs(measured.response) ** 2, axis=0))
+    left = unexplained(model, measured)
+    poor = [
+        f"{name} {share:.0%}"
+        for name, share, least in zip(measured.outputs, left, noise, strict=True)
+        if share > max(POOR_FIT, 2 * least)
+    ]
+    advice = "another fit, order or band may do better"
+    found = f"{data.source}: the model leaves much of the response to {data.input} unexplained ({', '.join(poor)})"
+    return (f"{found}: {advice}",) if poor else ()
 
 
 def _superposed(table: TestData, command: TestData, poles: PoleFit, floors: int, servo_lag: float) -> LinearModel:
@@ -244,7 +271,8 @@ def _test_data(
     runs: tuple[Run, ...], name: str, band: tuple[float, float], options: IdentificationOptions, together: bool
 ) -> TestData:
     """Check the tests of one input and estimate its transfer functions."""
-    periodic = [find_period(held_input(run, name)) is not None for run in runs]
+    periods = [find_period(held_input(run, name)) for run in runs]
+    periodic = [period is not None for period in periods]
     if any(periodic) and not all(periodic):
         raise AbraceError(f"tests of {name}: {periodic.count(True)} of {len(runs)} are periodic, expected all or none")
     if together and not all(periodic):
@@ -252,7 +280,7 @@ def _test_data(
             f"{runs[0].source}: table and command in one test with noise, expected two tests, or multisines on odd "
             "lines and on even ones: noise on both leaves each test with the other's leakage"
         )
-    recordings = [prepare(run, [name], band) for run in runs]
+    recordings = [prepare(run, [name], band, period) for run, period in zip(runs, periods, strict=True)]
     ready = tuple(recording.run for recording in recordings)
     if all(periodic):
         found = tuple(periodic_response(run, name, band).frequency_response for run in ready)

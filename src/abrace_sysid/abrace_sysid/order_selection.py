@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,9 @@ from abrace_sysid.vector_fitting import starting_poles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from abrace_sysid.frequency_response import FrequencyResponse
     from abrace_sysid.observation import Observation
@@ -51,10 +55,16 @@ def try_orders(
     orders
         (pairs, real poles) to try.
     """
+    most = max((reals for _, reals in orders), default=0)
+
+    @functools.cache
+    def start(pairs: int) -> NDArray[np.complex128]:
+        return starting_poles(measured, pairs, most)
+
     trials = []
     for pairs, reals in orders:
         try:
-            estimate = fit_poles(observations, starting_poles(measured, pairs, reals))
+            estimate = fit_poles(observations, start(pairs)[: pairs + reals])
         except AbraceError as error:
             trials.append(OrderTrial(pairs, reals, None, str(error)))
         else:

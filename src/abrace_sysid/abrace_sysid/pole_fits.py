@@ -26,7 +26,7 @@ from abrace_sysid.observation import Observation, of_response, of_spectra
 from abrace_sysid.order_selection import best_order, try_orders
 from abrace_sysid.pole_estimate import PoleEstimate, PoleInterval
 from abrace_sysid.spectra import of_run
-from abrace_sysid.vector_fitting import modes_of, starting_poles, vector_fitting
+from abrace_sysid.vector_fitting import modes_of, vector_fitting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -111,30 +111,30 @@ def _maximum_likelihood(
     progress: Callable[[str, float], None],
 ) -> PoleFit:
     """Each test alone, then both with one set of poles: those of the command test, of which the table shows some."""
-    top = 2 * np.pi * options.table_band[1]
+    top, highest = (2 * np.pi * band[1] for band in (options.table_band, options.command_band))
     progress("maximum likelihood, table", 0.5)
-    trials = try_orders(
-        _observations(table), table.responses[0], [(pairs, reals) for pairs in (floors, floors + 1) for reals in (0, 1)]
-    )
+    shaken = _observations(table)
+    orders = [(pairs, reals) for pairs in (floors, floors + 1) for reals in (0, 1)]
+    trials = try_orders(shaken, table.responses[0], orders)
     of_table = best_order(trials)
     _require_modes(of_table, floors, table.source)
     progress("maximum likelihood, command", 0.6)
-    start = starting_poles(command.responses[0], options.command_order // 2, 2)
-    of_command = fit_poles(_observations(command), start)
+    pushed, pairs = _observations(command), options.command_order // 2
+    trials = try_orders(pushed, command.responses[0], [(pairs, 2)])
+    if trials[0].estimate is None:  # a servo without a slow pole within the band, or without lag
+        trials += try_orders(pushed, command.responses[0], [(pairs, 1), (pairs, 0)])
+    of_command = best_order(trials)
     _require_modes(of_command, floors, command.source)
 
     progress("maximum likelihood, both", 0.75)
-    pairs = _upper(of_command.poles)
-    slow, fast = _reals(of_table.poles)[:1], _reals(of_command.poles)[-1:]
-    shown = tuple(i for i, pole in enumerate(pairs) if abs(pole) <= top)
-    both = np.concatenate([pairs, slow, fast])
-    observations = [
-        *(replace(one, poles=(*shown, len(pairs))) for one in _observations(table)),
-        *_observations(command),
-    ]
-    of_both = fit_poles(observations, both)
+    modes = _upper(of_command.poles)
+    slow = _reals(of_table.poles)[:1]
+    lag = _reals(of_command.poles)
+    lag = lag[np.abs(lag) > highest][-1:]
+    shown = tuple(i for i, pole in enumerate([*modes, *slow]) if abs(pole) <= top)
+    both = np.concatenate([modes, slow, lag])
+    of_both = fit_poles([*(replace(one, poles=shown) for one in shaken), *pushed], both)
     reals = _reals(of_both.poles)
-    highest = 2 * np.pi * options.command_band[1]
     return PoleFit(
         _with_conjugates(_upper(of_table.poles)[:floors]),
         _with_conjugates(_upper(of_command.poles)),
@@ -160,8 +160,8 @@ def _by_curve_fit(data: TestData, order: int, options: IdentificationOptions, fl
     measured = data.responses[0]
     where = f"{data.source}: {options.fit} of {data.input}, order {order}"
     if options.fit == "vector_fitting":
-        # beside the modes the servo's slow pole and, from the table, a local mode show
-        fit = vector_fitting(measured, order + (3 if data.input == signals.GROUND else 1))
+        # beside the modes the servo's real poles show: the slow one and, from the table, a local mode; the lag
+        fit = vector_fitting(measured, order + (3 if data.input == signals.GROUND else 2))
         poles = modes_of(fit, measured)[: order // 2]
     else:
         poles = _upper(require_stable(_ratio_of_polynomials(measured, order, options), where))

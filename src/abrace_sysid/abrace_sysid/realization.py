@@ -109,6 +109,23 @@ def sampled_states(states: LinearModel, measured: FrequencyResponse) -> NDArray[
     return discretize(states, measured.sample_period, HOLDS).frequency_response(measured.omega)[:, :, 0]
 
 
+def unexplained(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.float64]:
+    """(channels,) what a model leaves over of a response, rms over the lines, as a share of the response's rms.
+
+    Parameters
+    ----------
+    model
+        Continuous, with the input and outputs of `measured`.
+    measured
+        Hold and delays included.
+    """
+    own = discretize(model.select(measured.outputs, [measured.input]), measured.sample_period, HOLDS)
+    left_over = own.frequency_response(measured.omega)[:, :, 0] - measured.response
+    return np.asarray(
+        np.sqrt(np.mean(np.abs(left_over) ** 2, axis=0) / np.mean(np.abs(measured.response) ** 2, axis=0))
+    )
+
+
 def superpose(parts: Sequence[LinearModel], inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearModel:
     """z = z1 + z2 + ...: Eqs. (6) and (7). A part gives zeros for the outputs and inputs that it does not name.
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from abrace_core.run import Run
 
-Trend = Literal["mean", "line"]
-
 LEAST_SECONDS = 60.0
 """Shorter tests do not resolve modes of 1 % damping near 1 Hz."""
 
@@ -74,10 +72,10 @@ def prepare(
     run: Run,
     inputs: Sequence[str],
     band: tuple[float, float],
-    trend: Trend = "mean",
+    period: int | None = None,
     least_seconds: float = LEAST_SECONDS,
 ) -> Recording:
-    """Check a white-noise test and make it ready.
+    """Check a test and make it ready: the longest whole piece, trends removed.
 
     Parameters
     ----------
@@ -87,8 +85,9 @@ def prepare(
         Names of all inputs that were excited.
     band
         Lowest and highest frequency [Hz] of the excitation.
-    trend
-        What is removed from each channel: its "mean", or a straight "line".
+    period
+        Samples in a period of a periodic excitation. Of noise a straight line is removed; of a periodic response the
+        mean alone, since a line fitted to it would follow the periods.
     least_seconds
         How long a whole piece must be.
 
@@ -98,8 +97,6 @@ def prepare(
         If there is no whole piece long enough, a value is not finite, an input is not excited throughout the band or
         clipped, or no channel is a response.
     """
-    if trend not in ("mean", "line"):
-        raise AbraceError(f"{run.source}: trend {trend!r}, expected 'mean' or 'line'")
     whole, warnings = longest_piece(run, least_seconds)
     for name in dict.fromkeys((*whole.names, signals.GROUND, *whole.command_names)):
         values = whole.channels([name])[:, 0]
@@ -109,7 +106,9 @@ def prepare(
             raise AbraceError(f"{run.source}: channel {name} has {len(bad)} values that are not finite, {where}")
     for name in inputs:
         require_excited(whole, name, band)
-        count = _at_extremes(held_input(whole, name))
+        excitation = held_input(whole, name)
+        middle = len(excitation) // 2
+        count = _at_extremes(excitation if period is None else excitation[middle : middle + period])
         if count > CLIPPED_SHARE * len(whole.outputs):
             raise AbraceError(
                 f"{run.source}: input {name} is clipped, {count} of {len(whole.outputs)} samples are at its extremes, "
@@ -128,7 +127,7 @@ def prepare(
         count = 0 if name in left_out else _at_extremes(whole.channels([name])[:, 0])
         if count:
             warnings += (f"{run.source}: channel {name} is clipped in {count} samples",)
-    return Recording(_without_trend(whole, trend), left_out, warnings)
+    return Recording(_without_trend(whole, "linear" if period is None else "constant"), left_out, warnings)
 
 
 def longest_piece(run: Run, least_seconds: float = LEAST_SECONDS) -> tuple[Run, tuple[str, ...]]:
@@ -282,9 +281,8 @@ def _dead_channels(run: Run, inputs: Sequence[str], band: tuple[float, float]) -
     return {name: dead[name] for name in run.names if name in dead}
 
 
-def _without_trend(run: Run, trend: Trend) -> Run:
+def _without_trend(run: Run, kind: Literal["linear", "constant"]) -> Run:
     """The outputs and the table's measured acceleration without their trends; a command is known and has none."""
-    kind: Literal["constant", "linear"] = "constant" if trend == "mean" else "linear"
     return replace(
         run,
         outputs=signal.detrend(run.outputs, axis=0, type=kind),

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.errors import AbraceError
+from abrace_sysid.curve_fit import uncertainty_weights
 from abrace_sysid.vector_fitting import HEAVY_DAMPING, fit_common_poles, thinned
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ def stabilization(
     fewer = thinned(measured, LINES)
     found: list[OrderPoles] = []
     for order in orders:
-        fit = fit_common_poles(fewer, order, ITERATIONS)
+        fit = fit_common_poles(fewer, order, uncertainty_weights(fewer.response, fewer.sigma), ITERATIONS)
         poles = fit.poles
         within = (poles.imag > measured.omega[0]) & (poles.imag < measured.omega[-1]) & (poles.real < 0)
         chosen = np.flatnonzero(within & (-poles.real < HEAVY_DAMPING * np.abs(poles)))

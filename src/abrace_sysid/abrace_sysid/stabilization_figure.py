@@ -53,5 +53,5 @@ def stabilization_diagram(found: Stabilization, reference: list[float] | None = 
     axis.set_xlabel("frequency [Hz]")
     axis.set_ylabel("number of poles")
     axis.set_yticks([poles.order for poles in found.orders][:: max(1, len(found.orders) // 10)])
-    axis.legend(loc="lower right", fontsize="small")
+    figure.legend(*axis.get_legend_handles_labels(), loc="outside upper center", ncols=len(kinds), fontsize="small")
     return figure

@@ -70,7 +70,7 @@ def vector_fitting(measured: FrequencyResponse, order: int) -> VectorFit:
     Parameters
     ----------
     measured
-        Hold and delays included; weighted as by `uncertainty_weights`.
+        Hold and delays included; each channel weighs by its mean variance, every line of it alike.
     order
         Number of poles.
 
@@ -79,18 +79,22 @@ def vector_fitting(measured: FrequencyResponse, order: int) -> VectorFit:
     AbraceError
         If there are too few lines, or a pole is unstable.
     """
-    fit = fit_common_poles(measured, order)
+    fit = fit_common_poles(measured, order, _channel_weights(measured))
     require_stable(fit.poles, f"vector fitting of order {order}")
     return fit
 
 
-def fit_common_poles(measured: FrequencyResponse, order: int, iterations: int = ITERATIONS) -> VectorFit:
+def fit_common_poles(
+    measured: FrequencyResponse, order: int, weights: NDArray[np.float64], iterations: int = ITERATIONS
+) -> VectorFit:
     """As `vector_fitting`, unstable poles among those found as they come.
 
     Parameters
     ----------
     measured, order
         As for `vector_fitting`.
+    weights
+        (lines, channels) of squared errors.
     iterations
         At most.
 
@@ -106,7 +110,7 @@ def fit_common_poles(measured: FrequencyResponse, order: int, iterations: int = 
         raise AbraceError("vector fitting: the transfer function has a value that is not finite")
     period = measured.sample_period
     z = np.exp(1j * measured.omega * period)
-    root = np.sqrt(uncertainty_weights(measured.response, measured.sigma))
+    root = np.sqrt(weights)
     frequencies = np.linspace(measured.omega[0], measured.omega[-1], order // 2 + 2)[1:-1]
     pairs = frequencies * complex(-START_DAMPING, 1.0)
     reals = np.full(order % 2, -frequencies.mean() if len(frequencies) else -measured.omega.mean())
@@ -160,7 +164,9 @@ def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0) -> N
     found = np.zeros(0, dtype=np.complex128)
     measured = thinned(measured, START_LINES)
     for order in range(2 * pairs, 2 * pairs + MORE * 2 + 1):
-        fit = fit_common_poles(measured, order, START_ITERATIONS)
+        # by each line's uncertainty: good enough to begin with, and robust where a short test's peaks are biased
+        weights = uncertainty_weights(measured.response, measured.sigma)
+        fit = fit_common_poles(measured, order, weights, START_ITERATIONS)
         found = modes_of(fit, measured)[:pairs]
         if len(found) == pairs:
             break
@@ -199,6 +205,17 @@ def _fractions(z: NDArray[np.complex128], a: NDArray[np.complex128]) -> NDArray[
         else:
             columns.append(1 / (z - pole.real))
     return np.column_stack(columns)
+
+
+def _channel_weights(measured: FrequencyResponse) -> NDArray[np.float64]:
+    """(lines, channels) 1 / mean variance of a channel; of exact responses, of a billionth of its rms.
+
+    By each line's own uncertainty a resonance, whose errors grow with it, would count little, and the pole is there.
+    """
+    size = np.sqrt(np.mean(np.abs(measured.response) ** 2, axis=0))
+    noise = np.maximum(np.sqrt(np.mean(measured.sigma**2, axis=0)), 1e-9 * size)
+    weight = np.divide(1.0, noise**2, out=np.zeros_like(noise), where=noise > 0)
+    return np.broadcast_to(weight, measured.response.shape)
 
 
 def _relocated(

@@ -96,6 +96,9 @@ class GroundMotion(AbraceLifecycleNode):
         rate, band, rms, seed = given.sample_rate, (given.band[0], given.band[1]), given.rms, given.seed
         if record == WHITE_NOISE:
             motion = banded_noise(round(duration * rate), rate, band, rms, seed)
+        elif not band[0]:
+            expected = "a lowest frequency above 0: the table's stroke grows with 1 / frequency^2"
+            raise AbraceError(f"parameter band: {given.band} Hz of a multisine, expected {expected}")
         else:
             motion = repeated_multisine(duration, given.period, rate, band, rms, seed, given.lines, given.slope)
         return motion * (peak_acceleration / np.abs(motion).max()) if peak_acceleration else motion

@@ -23,8 +23,11 @@ from abrace_sysid.pole_fits import FIT_METHODS
 from abrace_sysid.reduction import errors_by_order, typical_scales
 from abrace_sysid.stabilization import stabilization
 from abrace_sysid.stabilization_figure import stabilization_diagram
+from abrace_sysid.welch import Estimator
 
 DEFAULTS = IdentificationOptions()
+CHOICE = DEFAULTS.transfer_function
+TRANSFER_FUNCTION = ("method", "segment", "window", "overlap", "estimator", "order", "half_width")
 
 PARAMETERS = [
     Parameter(
@@ -33,7 +36,13 @@ PARAMETERS = [
     Parameter("command", [], "likewise with the command; the same bags: both at once", element=str, required=True),
     Parameter("output", "", "folder for models, poles and figures", required=True),
     Parameter("fit", DEFAULTS.fit, "of the poles", choices=FIT_METHODS),
-    Parameter("method", DEFAULTS.transfer_function.method, "of the transfer functions", choices=get_args(Method)),
+    Parameter("method", CHOICE.method, "of the transfer functions", choices=get_args(Method)),
+    Parameter("segment", CHOICE.segment, "samples in a piece of Welch's method; 0: by the record's length", minimum=0),
+    Parameter("window", CHOICE.window, "of Welch's method, by SciPy's name"),
+    Parameter("overlap", CHOICE.overlap, "of neighbouring pieces of Welch's method", minimum=0.0, maximum=0.99),
+    Parameter("estimator", CHOICE.estimator, "of Welch's method", choices=get_args(Estimator)),
+    Parameter("order", CHOICE.order, "of the local methods' polynomials; 0: 2 rational, 4 polynomial", minimum=0),
+    Parameter("half_width", CHOICE.half_width, "lines to each side of the local methods; 0: by the record", minimum=0),
     Parameter("table_band", list(DEFAULTS.table_band), "Hz, lowest and highest frequency used", minimum=0.0),
     Parameter("command_band", list(DEFAULTS.command_band), "Hz, lowest and highest frequency used", minimum=0.0),
     Parameter("command_order", DEFAULTS.command_order, "oscillating poles of the response to the command", minimum=2),
@@ -64,7 +73,7 @@ class Identify(AbraceNode):
             for warning in recorded.facts.get("warnings", []):
                 print(warning, file=sys.stderr, flush=True)
         options = IdentificationOptions(
-            transfer_function=Choice(method=given.method),
+            transfer_function=Choice(**{name: getattr(given, name) for name in TRANSFER_FUNCTION}),
             fit=given.fit,
             table_band=_band("table_band", given.table_band),
             command_band=_band("command_band", given.command_band),
@@ -100,10 +109,9 @@ class Identify(AbraceNode):
         """The figures."""
         table, command = found.table_response, found.command_response
         outputs = found.model.outputs
-        shown = [
-            next(name for name in names if name in outputs)
-            for names in (reversed([o for o in outputs if o[0] == "x"]), [o for o in outputs if o[0] == "a"] or outputs)
-        ]
+        floors = [name for name in outputs if name[0] == "x" and name[1:].isdigit()]
+        accelerations = [name for name in outputs if name[0] == "a"]
+        shown = floors[-1:] + accelerations[:1] or list(outputs[:1])
         forces = [name for name in outputs if name.startswith("f")]
         drawings = {
             "figure_4_table": figures.transfer_functions(table, shown, found.model),
@@ -115,6 +123,7 @@ class Identify(AbraceNode):
             "reduction_errors": figures.reduction_errors(
                 errors_by_order(found.whole, typical_scales(found.whole, options.command_band), options.command_band),
                 options.reduced_order,
+                found.whole.inputs,
             ),
         }
         if forces:

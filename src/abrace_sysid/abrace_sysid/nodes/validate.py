@@ -16,11 +16,12 @@ from abrace_core.linear_model import load_model
 from abrace_core.node import AbraceNode, Parameter, run
 from abrace_core.response import PeakRms, in_paper_units, peak_rms
 from abrace_sysid import figures
-from abrace_sysid.validation import compare
+from abrace_sysid.validation import Comparison, compare
 
 PARAMETERS = [
     Parameter("bag", "", "bag of the test to compare", required=True),
     Parameter("model", "", "model file (JSON) to simulate with", required=True),
+    Parameter("other_models", [], "further model files, whose figures stand beside", element=str),
     Parameter("controller", "", "controller file of the test; empty: the recorded command drives the model"),
     Parameter("uncontrolled", "", "bag of the same test without control; empty: none"),
     Parameter("output", "", "folder for comparison.json and figures", required=True),
@@ -51,7 +52,8 @@ class Validate(AbraceNode):
             law, limit = controller.law, controller.force_limit
         print("simulating", flush=True)
         comparison = compare(test, model, law, limit)
-        correlation, error = comparison.correlation(), comparison.normalised_rms_error()
+        agreement = _agreement(comparison)
+        others = {Path(path).stem: compare(test, load_model(path), law, limit) for path in given.other_models}
         content = {
             "test": {
                 "record": test.facts.get("record", ""),
@@ -61,8 +63,11 @@ class Validate(AbraceNode):
             "measured": _table(comparison.measured_peak_rms()),
             "simulated": _table(comparison.simulated_peak_rms()),
             "uncontrolled": _table(peak_rms(uncontrolled)) if uncontrolled else None,
-            "simulated_vs_measured": {
-                name: {"correlation": correlation[name], "normalised_rms_error": error[name]} for name in correlation
+            "simulated_vs_measured": agreement,
+            "peak_rms_error": comparison.peak_rms_error(),
+            "other_models": {
+                name: {"simulated_vs_measured": _agreement(other), "peak_rms_error": other.peak_rms_error()}
+                for name, other in others.items()
             },
         }
         output = Path(given.output)
@@ -73,10 +78,21 @@ class Validate(AbraceNode):
         if uncontrolled:
             drawing = figures.control_effect(uncontrolled, test, [f"x{top}", f"a{top}"])
             save_figure(drawing, output / "uncontrolled_and_controlled.png")
-        print("channel  correlation  normalised rms error")
-        for name, value in correlation.items():
-            print(f"{name:8} {value:11.4f}  {error[name]:20.4f}")
+        for label, one in ((Path(given.model).stem, comparison), *others.items()):
+            print(f"{label}: error of peaks and rms {one.peak_rms_error():.4f}")
+            print("channel  correlation  rms error / rms  without sensor noise")
+            for name, row in _agreement(one).items():
+                error, noise_free = row["normalised_rms_error"], row["noise_free_error"]
+                print(f"{name:8} {row['correlation']:11.4f}  {error:15.4f}  {noise_free:20.4f}")
         print(f"wrote {output}")
+
+
+def _agreement(comparison: Comparison) -> dict[str, dict[str, float]]:
+    error, noise_free = comparison.normalised_rms_error(), comparison.noise_free_error()
+    return {
+        name: {"correlation": value, "normalised_rms_error": error[name], "noise_free_error": noise_free[name]}
+        for name, value in comparison.correlation().items()
+    }
 
 
 def _table(rows: dict[str, PeakRms]) -> dict[str, dict[str, float]]:
