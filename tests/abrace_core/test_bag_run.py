@@ -84,9 +84,10 @@ def test_single_sample_without_period_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_first_gap_is_named(tmp_path: Path, sequence: list[int], complaint: str) -> None:
-    bag = write(tmp_path / "bag", [response(k) for k in sequence], {})
+    bag = write(tmp_path / "bag", [response(k) for k in sequence], {"sample_period": "0.002"})
     with pytest.raises(AbraceError, match=f"bag: topic /response: {complaint}"):
         read_run(bag)
+    assert read_run(bag, whole=False).sequence.tolist() == sequence
 
 
 @pytest.mark.parametrize("name", ["displacement", "stroke", "acceleration", "force", "command", "ground_acceleration"])

@@ -102,7 +102,7 @@ def expect_refusal(ended: subprocess.CompletedProcess, *expected: str) -> None:
         ("plant", ["-p", "rig:=none.yaml"], ["rig file none.yaml", "no such file"]),
         ("ground_motion", ["-p", "record:=none"], ["none", "el_centro"]),
         ("ground_motion", ["-p", "record:=./none.at2"], ["none.at2"]),
-        ("ground_motion", ["-p", "record:=white_noise"], ["parameter duration", "white noise"]),
+        ("ground_motion", ["-p", "record:=white_noise"], ["parameter duration", "white_noise"]),
         (
             "ground_motion",
             ["-p", "record:=white_noise", "-p", "duration:=9.0", "-p", "band:=[5.0]"],

@@ -23,7 +23,7 @@ from abrace_plant.rig_loop import RigLoop
 SECONDS = 80.0
 
 
-def write_bag(path: Path, ground: np.ndarray, command: np.ndarray) -> Path:
+def write_bag(path: Path, ground: np.ndarray, command: np.ndarray, lost: range = range(0)) -> Path:
     """A bag of the rig's responses to a ground acceleration and a command that answer sample after sample."""
     rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
     loop = RigLoop(rig, 3, 0.02)
@@ -37,7 +37,8 @@ def write_bag(path: Path, ground: np.ndarray, command: np.ndarray) -> Path:
             message.header.stamp = Time(nanoseconds=2_000_000 * k).to_msg()
             message.displacement, message.stroke, message.acceleration, message.force = map(list, (x, xf, a, f))
             message.command = list(sample.command)
-            bag.write(topic, serialize_message(message), 2_000_000 * k, 2_000_000 * k)
+            if k not in lost:
+                bag.write(topic, serialize_message(message), 2_000_000 * k, 2_000_000 * k)
             loop.take_ground_acceleration(k, float(ground[k]))
             loop.take_command(k, np.array([command[k]]))
     return path
@@ -53,6 +54,7 @@ def bags(tmp_path_factory) -> dict[str, Path]:
     return {
         "table": write_bag(folder / "table", shaken, rest),
         "command": write_bag(folder / "command", rest, pushed),
+        "gap": write_bag(folder / "gap", shaken, rest, range(6000, 6025)),
         "check": write_bag(folder / "check", banded_noise(5000, 500.0, (0.0, 10.0), 0.2, 5), np.zeros(5000)),
     }
 
@@ -131,6 +133,17 @@ def test_a_bag_that_was_cut_off_is_used_as_far_as_it_goes_and_says_so(bags, tmp_
     seconds = json.loads((model / "model.json").read_text())["provenance"]["seconds"]
     assert seconds["table"][0] == pytest.approx(0.9 * SECONDS, abs=1.0)
     assert seconds["command"][0] == pytest.approx(SECONDS, abs=0.1)
+
+
+def test_a_bag_with_lost_samples_is_used_from_the_gap_on_and_refused_where_the_test_has_to_be_whole(bags, tmp_path):
+    model = tmp_path / "model"
+    ended = run_node("abrace_sysid", "identify", table=bags["gap"], command=bags["command"], output=model)
+    assert ended.returncode == 0, ended.stderr
+    assert "a gap after sample 5999 (25 samples, 0.05 s); samples 6025 to 39999 are used" in ended.stderr
+    assert json.loads((model / "model.json").read_text())["provenance"]["seconds"]["table"] == [pytest.approx(67.95)]
+    ended = run_node("abrace_sysid", "validate", bag=bags["gap"], model=model / "model.json", output=tmp_path / "check")
+    assert ended.returncode == 2
+    assert "sample 5999 is followed by sample 6025" in ended.stderr
 
 
 @pytest.mark.parametrize(

@@ -60,8 +60,8 @@ LONGEST_HANDOVER = Duration(seconds=0.5)
 
 STREAM_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 """How the rig takes `brace_command` and `ground_motion`: of late ones the last will do."""
-KEPT_STREAM_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-"""How they are published, and taken by those who must not miss one: two seconds are kept for a reader that is late.
+KEPT_STREAM_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+"""How they are published, and taken by those who must not miss one: ten seconds are kept for a reader that is late.
 
 With ten kept, a logger that a busy machine held up for some milliseconds lost samples of a lockstep run, and a
 commander that joined a running rig lost samples one time in two: what is published while the two become acquainted,

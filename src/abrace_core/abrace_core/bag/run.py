@@ -23,7 +23,7 @@ _FLOORS = ("displacement", "acceleration")
 _GROUPS = ("stroke", "force", "command")
 
 
-def read_run(bag: Path | str, topic: str | None = None) -> Run:
+def read_run(bag: Path | str, topic: str | None = None, whole: bool = True) -> Run:
     """Read a recorded test of the rig from a bag.
 
     Parameters
@@ -32,16 +32,18 @@ def read_run(bag: Path | str, topic: str | None = None) -> Run:
         A bag directory or a single MCAP file.
     topic
         The topic of the responses; when None, the only one of their type.
+    whole
+        Whether missing samples are an error; if not, the run has the samples that there are, with their numbers.
 
     Returns
     -------
     Run
-        The whole test. What the reader has to say of a bag that was cut off or damaged is in its facts, as `warnings`.
+        The test. What the reader has to say of a bag that was cut off or damaged is in its facts, as `warnings`.
 
     Raises
     ------
     AbraceError
-        If there is no such bag or topic, it has no messages, samples are missing, or a value is not finite.
+        If there is no such bag or topic, it has no messages, samples are missing from a test that has to be whole, or a value is not finite.
     """
     contents = read_selected(bag, lambda channel: channel.type_name == RESPONSE_TYPE)
     aside = f" ({'; '.join(contents.warnings)})" if contents.warnings else ""
@@ -53,7 +55,7 @@ def read_run(bag: Path | str, topic: str | None = None) -> Run:
         raise AbraceError(f"{bag}: no topic {topic or ''} of type {RESPONSE_TYPE} in it{aside}".replace("  ", " "))
     response = contents[topic]
     try:
-        run = _run(str(bag), response, contents.facts)
+        run = _run(str(bag), response, contents.facts, whole)
     except AbraceError as error:
         raise AbraceError(f"{bag}: topic {topic}: {error}{aside}") from error
     if contents.warnings:
@@ -61,14 +63,15 @@ def read_run(bag: Path | str, topic: str | None = None) -> Run:
     return run
 
 
-def _run(source: str, response: TopicArrays, facts: dict[str, str]) -> Run:
+def _run(source: str, response: TopicArrays, facts: dict[str, str], whole: bool) -> Run:
     if not response.log_time.size:
         raise AbraceError("has no messages, expected a recorded test")
     missing = [name for name in (*_FLOORS, *_GROUPS, "sequence", "ground_acceleration") if name not in response.fields]
     if missing:
         raise AbraceError(f"has no field {missing[0]}, expected this version's {RESPONSE_TYPE}")
     sequence = response.fields["sequence"]
-    _check_sequence(sequence)
+    if whole:
+        _check_sequence(sequence)
     values = {name: _finite(name, response.fields[name], sequence) for name in (*_FLOORS, *_GROUPS)}
     for names in (_FLOORS, _GROUPS):
         sizes = [values[name].shape[1] for name in names]

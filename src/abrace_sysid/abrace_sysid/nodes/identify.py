@@ -68,7 +68,7 @@ class Identify(AbraceNode):
             print(f"{fraction:4.0%} {step} ({time.monotonic() - begin:.1f} s)", flush=True)
 
         progress("reading the bags", 0.0)
-        runs = {bag: read_run(bag) for bag in dict.fromkeys((*given.table, *given.command))}
+        runs = {bag: read_run(bag, whole=False) for bag in dict.fromkeys((*given.table, *given.command))}
         for recorded in runs.values():
             for warning in recorded.facts.get("warnings", []):
                 print(warning, file=sys.stderr, flush=True)
