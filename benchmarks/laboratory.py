@@ -54,9 +54,12 @@ class Laboratory:
         outputs = simulate(self.model, np.column_stack([ground, command]))
         return self._run(source, outputs, ground, np.concatenate([[0.0], command[:-1]])[:, None])
 
-    def closed_loop(self, source: str, ground: Array, controller: LinearModel) -> Run:
-        """A test in which a discrete `controller` commands, within the rig's capacity; its name is `source`."""
-        outputs, command = simulate_closed_loop(self.model, controller, ground, self.rig.capacity)
+    def closed_loop(self, source: str, ground: Array, controller: LinearModel, correction: Array | None = None) -> Run:
+        """A test in which a discrete `controller` commands, within the rig's capacity; its name is `source`.
+
+        `correction` is the controller's, as in `simulate_closed_loop`.
+        """
+        outputs, command = simulate_closed_loop(self.model, controller, ground, self.rig.capacity, correction)
         return self._run(source, outputs, ground, command)
 
     def table_test(self, seconds: float, rms: float = 0.25) -> Run:
@@ -82,7 +85,9 @@ class Laboratory:
         )
         return self.open_loop("bags/" + ("both" if table and command else "multisine"), ground, force)
 
-    def earthquake(self, controller: LinearModel | None = None, seconds: float = 40) -> Run:
+    def earthquake(
+        self, controller: LinearModel | None = None, seconds: float = 40, correction: Array | None = None
+    ) -> Run:
         """A noise that rises and decays as an earthquake does, at 0.1 g, with a controller or zero command."""
         samples = int(seconds * 500)
         time = np.arange(samples) / 500
@@ -91,7 +96,7 @@ class Laboratory:
         ground *= 0.981 / np.abs(ground).max()
         if controller is None:
             return self.open_loop("bags/earthquake", ground, 0 * ground)
-        return self.closed_loop("bags/controlled", ground, controller)
+        return self.closed_loop("bags/controlled", ground, controller, correction)
 
     @staticmethod
     def _noise(seconds: float, highest: float, rms: float, seed: int) -> Array:

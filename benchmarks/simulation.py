@@ -110,7 +110,7 @@ def measure() -> dict[str, Any]:
     from scipy import signal
 
     from abrace_core.simulation import simulate, simulate_closed_loop
-    from abrace_lqg.margins import closed_loop
+    from abrace_lqg.loop import closed_loop
 
     model, law, capacity = rig_and_law()
     loop = closed_loop(model, law)

@@ -192,3 +192,25 @@ def test_force_is_finite_within_capacity_and_rate_and_off_within_the_ramp_time_w
             if since_fault * PERIOD >= ramp:
                 assert not force.any(), f"{since_fault} samples after the fault"
         last = force
+
+
+def test_the_force_is_told_and_goes_on_from_zero_for_a_rig_that_has_begun_anew():
+    guarded = CommandGuard([24_000.0], [5e6], PERIOD, 0.5)
+    assert guarded.force.tolist() == [0.0]
+    for _ in range(3):
+        guarded.check(np.array([15_000.0]))
+    assert guarded.force.tolist() == [15_000.0]
+    guarded.rest()
+    assert guarded.force.tolist() == [0.0]
+    assert guarded.check(None).tolist() == [0.0], "no command of the rig before"
+    assert guarded.check(np.array([15_000.0])).tolist() == [5e6 * PERIOD], "at the rate limit"
+
+
+def test_a_rig_that_begins_anew_during_a_fault_is_at_rest_and_stays_so():
+    guarded = CommandGuard([24_000.0], [5e6], PERIOD, 0.5)
+    for _ in range(3):
+        guarded.check(np.array([15_000.0]))
+    guarded.fault("test")
+    guarded.check(None)
+    guarded.rest()
+    assert not any(guarded.check(np.array([15_000.0])).any() for _ in range(300))

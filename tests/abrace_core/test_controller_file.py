@@ -22,12 +22,13 @@ if TYPE_CHECKING:
 def controller() -> Controller:
     """One with numbers that are hard to write: whole, tiny, huge, and with 17 digits."""
     random = np.random.default_rng(2)
-    a = random.standard_normal((4, 4)) * 10.0 ** random.integers(-30, 30, (4, 4))
-    a[0] = [1.0, 0.0, 1e-5, 1e22]
-    a[1, :3] = [np.nextafter(1, 2), 2.2250738585072014e-308, 1.7976931348623157e308]
-    b, c, d = (random.standard_normal(shape) for shape in ((4, 3), (1, 4), (1, 3)))
+    a = np.triu(random.standard_normal((4, 4)) * 10.0 ** random.integers(-30, 30, (4, 4)), 1) + 0.5 * np.eye(4)
+    a[0] = [0.1, 0.0, 1e-5, 1e22]
+    b, c, d, g, p = (random.standard_normal(shape) for shape in ((4, 3), (1, 4), (1, 3), (4, 1), (3, 5)))
+    b[:, 0] = [np.nextafter(1, 2), 2.2250738585072014e-308, 1.7976931348623157e308, -3.0]
     law = LinearModel(a, b, c, d, ("a1", "a2", "a3"), ("U",), 0.002)
-    return Controller("lqg3", law, np.array([24516.625]), "reduced: 8 states", 'q: 1 # "two"', "gain 10 dB\nphase 60")
+    facts = "reduced: 8 states", 'q: 1 # "two"', "gain 10 dB\nphase 60"
+    return Controller("lqg3", law, g, p, np.array([24516.625]), *facts)
 
 
 @pytest.fixture
@@ -40,6 +41,8 @@ def test_it_comes_back_bit_for_bit(path: Path):
     saved, found = controller(), load_controller(path)
     for key in "abcd":
         assert getattr(found.law, key).tobytes() == getattr(saved.law, key).tobytes(), key
+    for key in ("correction", "prediction"):
+        assert getattr(found, key).tobytes() == getattr(saved, key).tobytes(), key
     assert found.law.inputs == ("a1", "a2", "a3")
     assert found.law.outputs == ("U",)
     assert found.law.sample_period == 0.002
@@ -55,7 +58,7 @@ def test_the_same_controller_gives_the_same_bytes(path: Path, tmp_path: Path):
 
 def test_every_number_of_a_matrix_has_a_point_and_is_a_double_to_yaml(path: Path):
     content = yaml.safe_load(path.read_text())["/**"]["ros__parameters"]
-    for key in ("a_d", "b_d", "c_d", "d_d", "force_limit"):
+    for key in ("a_d", "b_d", "c_d", "d_d", "g_d", "p_d", "force_limit"):
         assert {type(value) for value in content[key]} == {float}, key
         listed = re.search(rf"{key}: \[([^\]]*)\]", path.read_text())
         assert listed
@@ -74,9 +77,9 @@ def test_it_begins_with_what_it_is_made_from_and_the_predicted_margins(path: Pat
 def test_a_subnormal_number_which_ros_cannot_read_is_written_as_zero(tmp_path: Path):
     law = controller().law
     a = law.a.copy()
-    a[0] = [5e-324, -1e-310, 1.0, 2.0]
+    a[0] = [0.5, 5e-324, -1e-310, 2.0]
     save_controller(replace(controller(), law=replace(law, a=a)), tmp_path / "lqg3.yaml")
-    assert load_controller(tmp_path / "lqg3.yaml").law.a[0].tolist() == [0.0, 0.0, 1.0, 2.0]
+    assert load_controller(tmp_path / "lqg3.yaml").law.a[0].tolist() == [0.5, 0.0, 0.0, 2.0]
 
 
 def test_a_name_that_looks_like_a_number_stays_a_name(tmp_path: Path):
@@ -86,7 +89,7 @@ def test_a_name_that_looks_like_a_number_stays_a_name(tmp_path: Path):
 
 def test_a_node_makes_the_same_controller_from_its_parameters(path: Path):
     values = yaml.safe_load(path.read_text())["/**"]["ros__parameters"]
-    for key in ("a_d", "b_d", "c_d", "d_d", "force_limit"):
+    for key in ("a_d", "b_d", "c_d", "d_d", "g_d", "p_d", "force_limit"):
         values[key] = array.array("d", values[key])  # as rclpy gives double arrays
     found = controller_from_parameters(values, "controller")
     np.testing.assert_array_equal(found.law.a, controller().law.a)
@@ -108,6 +111,10 @@ def test_a_parameter_that_a_node_was_not_given_is_named(path: Path):
         (r"measured: .*\n", "measured: [a1, a1, a2]\n", "each name once"),
         (r"d_d: \[[^\]]*\]", "d_d: [1.0, .nan, 2.0]", r"d_d\.1"),
         (r"d_d: \[[^\]]*\]", "d_d: [1.0, two, 2.0]", r"d_d\.1: 'two'"),
+        (r"g_d: \[[^\]]*\]", "g_d: [1.0, 2.0]", "g_d: 2 numbers, expected 4 rows of 1"),
+        (r"p_d: \[[^\]]*\]", "p_d: [1.0]", "p_d: 1 numbers, expected 3 rows of 5"),
+        (r"    g_d: \[[^\]]*\]\n", "", "g_d: key is missing"),
+        (r"a_d: \[\s*0\.1,", "a_d: [1.1,", r"not stable \(spectral radius of a_d 1\.1\), expected less than 1"),
         (r"sample_period: .*\n", "sample_period: -0.002\n", "sample_period"),
         (r"force_limit: .*\n", "force_limit: [1.0, 2.0]\n", "force_limit"),
         (r"force_limit: .*\n", "force_limit: [0.0]\n", "force_limit"),
@@ -134,6 +141,14 @@ def test_a_missing_file_is_named(tmp_path: Path):
 def test_a_force_limit_that_is_none_is_refused(limit: list[float]):
     with pytest.raises(AbraceError, match="force_limit"):
         replace(controller(), force_limit=np.array(limit))
+
+
+@pytest.mark.parametrize("key", ["correction", "prediction"])
+def test_an_observer_that_does_not_fit_the_law_is_refused(key: str):
+    with pytest.raises(AbraceError, match=f"{key} of shape"):
+        replace(controller(), **{key: np.zeros((2, 2))})
+    with pytest.raises(AbraceError, match=f"{key} of shape"):
+        replace(controller(), **{key: getattr(controller(), key) * np.inf})
 
 
 def test_a_continuous_law_is_refused():

@@ -39,6 +39,16 @@ def test_more_are_a_problem_that_names_the_sample(watch):
     assert f"{LONGEST_GAP + 1} samples lost before sample {sequence}" in watch.problem
 
 
+@pytest.mark.parametrize("gap", [0, 12])
+def test_how_many_may_be_lost_can_be_told(gap):
+    watch = SampleWatch(0.002, gap)
+    watch.take(10, 10 * PERIOD)
+    watch.take(11 + gap, (11 + gap) * PERIOD)
+    assert watch.problem is None
+    watch.take(13 + 2 * gap, (13 + 2 * gap) * PERIOD)
+    assert f"{gap + 1} samples lost before sample {13 + 2 * gap}, at most {gap} can be bridged" in watch.problem
+
+
 @pytest.mark.parametrize("factor", [0.4, 2.0])
 def test_another_sample_rate_is_a_problem(watch, factor):
     watch.take(11, 10 * PERIOD + round(factor * PERIOD))

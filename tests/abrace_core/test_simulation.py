@@ -7,7 +7,7 @@ from scipy import signal
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import discretize, simulate, simulate_closed_loop
-from abrace_lqg.margins import closed_loop
+from abrace_lqg.loop import closed_loop
 
 OMEGA, ZETA, PERIOD = 7.3, 0.02, 0.05
 
@@ -204,7 +204,7 @@ def stepped(model: LinearModel, inputs: np.ndarray, initial: np.ndarray | None =
     return outputs
 
 
-def stepped_closed_loop(plant, controller, ground, capacity) -> tuple[np.ndarray, np.ndarray]:
+def stepped_closed_loop(plant, controller, ground, capacity, correction=None) -> tuple[np.ndarray, np.ndarray]:
     """The graph's timing, step by step: a sample, its command cut, in force from the next sample on."""
     measured = [plant.outputs.index(name) for name in controller.inputs]
     x, q, command = np.zeros(plant.order), np.zeros(controller.order), np.zeros(len(capacity))
@@ -214,8 +214,11 @@ def stepped_closed_loop(plant, controller, ground, capacity) -> tuple[np.ndarray
         outputs.append(plant.c @ x + plant.d @ drive)
         commands.append(before)
         y = outputs[-1][measured]
-        before, command = command, np.clip(controller.c @ q + controller.d @ y, -capacity, capacity)
+        wanted = controller.c @ q + controller.d @ y
+        before, command = command, np.clip(wanted, -capacity, capacity)
         x, q = plant.a @ x + plant.b @ drive, controller.a @ q + controller.b @ y
+        if correction is not None:
+            q += correction @ (command - wanted)
     return np.array(outputs), np.array(commands)
 
 
@@ -297,6 +300,14 @@ def test_closed_loop_is_the_loop_as_it_is_stepped(states, commands, controller_s
     found, expected = (run(plant, law, ground, limit) for run in (simulate_closed_loop, stepped_closed_loop))
     for one, other in zip(found, expected, strict=True):
         assert_equal_to_rounding(one, other.reshape(one.shape))
+    # small enough that the corrected law, too, is far from running away by itself
+    correction = 0.1 * law.b[:, :1] * np.ones(commands) / max(1e-9, np.abs(law.c).max(initial=0.0))
+    correction /= max(1.0, np.abs(correction @ law.c).sum() / 0.1)
+    found, expected = (
+        run(plant, law, ground, limit, correction) for run in (simulate_closed_loop, stepped_closed_loop)
+    )
+    for one, other in zip(found, expected, strict=True):
+        assert_equal_to_rounding(one, other.reshape(one.shape))
 
 
 def test_closed_loop_holds_a_plant_that_falls_over_fast():
@@ -323,10 +334,11 @@ def test_closed_loop_goes_on_when_the_controller_alone_runs_away():
     np.testing.assert_array_equal(commands[20:], expected_commands[20:])
 
 
-def test_closed_loop_without_saturation_is_the_linear_loop():
+@pytest.mark.parametrize("correction", [None, np.array([[-0.3]])])
+def test_closed_loop_without_saturation_is_the_linear_loop(correction):
     plant, controller = plant_and_controller()
     ground = np.random.default_rng(9).standard_normal(5000)
-    outputs, commands = simulate_closed_loop(plant, controller, ground, np.array([1e9]))
+    outputs, commands = simulate_closed_loop(plant, controller, ground, np.array([1e9]), correction)
     whole = simulate(closed_loop(plant, controller), ground[:, None])
     assert_equal_to_rounding(outputs, whole[:, :2])
     assert_equal_to_rounding(commands[1:], whole[:-1, 2:])
@@ -339,6 +351,10 @@ def test_closed_loop_without_saturation_is_the_linear_loop():
         (lambda p, _: simulate(p, np.zeros((5, 2)), np.zeros(3)), r"initial state of shape \(3,\), expected \(2,\)"),
         (lambda p, c: simulate_closed_loop(p, c, np.array([0.0, np.inf]), np.ones(1)), "not finite at sample 1"),
         (lambda p, c: simulate_closed_loop(p, c, np.zeros(5), np.ones(2)), r"capacities of shape \(2,\), expected"),
+        (
+            lambda p, c: simulate_closed_loop(p, c, np.zeros(5), np.ones(1), np.zeros((2, 1))),
+            r"correction of shape \(2, 1\), expected \(1, 1\)",
+        ),
         (lambda p, c: simulate_closed_loop(p, c, np.zeros((5, 1)), np.ones(1)), r"shape \(5, 1\)"),
         (
             lambda p, c: simulate_closed_loop(p.select(["x"]), c, np.zeros(5), np.ones(1)),

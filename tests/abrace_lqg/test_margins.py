@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import simulate, simulate_closed_loop
-from abrace_lqg.margins import closed_loop, closed_loop_poles, is_stable, loop_response, margins, sampled
+from abrace_lqg.loop import Loop, closed_loop, closed_loop_poles, is_stable, loop_response, sampled
+from abrace_lqg.margins import margins, margins_at
 
 PERIOD = 0.01
 
@@ -151,10 +154,83 @@ def test_margins_of_an_unstable_loop_are_refused():
         margins(integrator(), gain(5.0))
 
 
-def test_margins_of_several_commands_are_refused():
+def scaled(controller: LinearModel, name: str, factor: float) -> LinearModel:
+    """The controller with a factor in one of its inputs or outputs."""
+    b, c, d = controller.b.copy(), controller.c.copy(), controller.d.copy()
+    if name in controller.inputs:
+        b[:, controller.inputs.index(name)] *= factor
+        d[:, controller.inputs.index(name)] *= factor
+    else:
+        c[controller.outputs.index(name)] *= factor
+        d[controller.outputs.index(name)] *= factor
+    return replace(controller, b=b, c=c, d=d)
+
+
+def strong() -> tuple[LinearModel, LinearModel]:
     model, controller = two_floors()
-    with pytest.raises(AbraceError, match="expected one command"):
-        margins(model, controller)
+    return model, replace(controller, c=2 * controller.c, d=3 * controller.d)
+
+
+@pytest.mark.parametrize("name", ["U1", "U2", "a2", "a1"])
+def test_the_loop_broken_at_one_signal_reaches_its_edge_where_that_gain_margin_says(name: str):
+    model, controller = strong()
+    edge = 10 ** (margins_at(model, controller)[name].gain / 20)
+    assert 1.05 < edge < 1e3
+    assert all(is_stable(model, scaled(controller, name, factor)) for factor in (0.9999 * edge, 1.0001 / edge))
+    assert not all(is_stable(model, scaled(controller, name, factor)) for factor in (1.0001 * edge, 0.9999 / edge))
+
+
+def test_the_loop_broken_at_one_signal_is_the_plant_with_the_others_closed():
+    model, controller = strong()
+    omega = np.array([0.7, 12.0, 200.0])
+    z = np.exp(1j * omega * PERIOD)
+    plant = sampled(model, PERIOD).select(controller.inputs, controller.outputs).frequency_response(omega)
+    law = controller.frequency_response(omega)
+    for k in range(len(omega)):
+        # U2 closed by hand: u2 = l22 u2 + l21 u1, then u1 -> l11 u1 + l12 u2
+        loop = law[k] @ plant[k] / z[k]
+        expected = -(loop[0, 0] + loop[0, 1] * loop[1, 0] / (1 - loop[1, 1]))
+        np.testing.assert_allclose(loop_response(model, controller, omega, "U1")[k], expected, rtol=1e-10)
+
+
+def test_margins_of_several_commands_are_the_worst_of_them():
+    model, controller = strong()
+    each = margins_at(model, controller, controller.outputs)
+    found = margins(model, controller)
+    assert list(each) == ["U1", "U2"]
+    assert found.gain == min(one.gain for one in each.values())
+    assert found.sensitivity_peak == max(one.sensitivity_peak for one in each.values())
+
+
+def test_with_one_sensor_and_one_command_it_does_not_matter_where_the_loop_is_broken():
+    found = margins_at(oscillator(20.0, 0.01), gain(-5.0))
+    assert list(found) == ["U", "y1"]
+    for field in ("gain", "phase", "delay", "sensitivity_peak"):
+        assert getattr(found["U"], field) == pytest.approx(getattr(found["y1"], field), rel=1e-8)
+
+
+def test_a_signal_that_the_loop_does_not_have_is_refused():
+    with pytest.raises(AbraceError, match="'a3': expected one of U1, U2, a2, a1"):
+        margins_at(*strong(), ["a3"])
+    with pytest.raises(AbraceError, match="'a3': expected one of"):
+        loop_response(*strong(), np.ones(1), "a3")
+
+
+def test_a_loop_with_poles_that_coincide_is_evaluated_all_the_same():
+    # a double integrator has no basis of eigenvectors
+    a = np.array([[0.0, 1.0], [0.0, 0.0]])
+    b = np.array([[0.0, 0.0], [1.0, 1.0]])
+    plant = LinearModel(a, b, np.array([[1.0, 0.0], [0.0, 1.0]]), np.zeros((2, 2)), ("w", "U"), ("y1", "y2"))
+    law = LinearModel(
+        np.eye(1) / 2, np.zeros((1, 2)), np.zeros((1, 1)), np.array([[-4.0, -6.0]]), ("y1", "y2"), ("U",), PERIOD
+    )
+    omega = np.array([3.0])
+    z = np.exp(1j * omega * PERIOD)
+    # held: x1 = T^2/2 (z + 1)/(z - 1)^2 u, x2 = T/(z - 1) u
+    expected = (4 * PERIOD**2 / 2 * (z + 1) / (z - 1) ** 2 + 6 * PERIOD / (z - 1)) / z
+    np.testing.assert_allclose(Loop(plant, law).at("U", omega), expected, rtol=1e-8)
+    assert is_stable(plant, law)
+    assert margins(plant, law).phase > 30
 
 
 def test_a_model_of_another_sample_period_is_refused():

@@ -25,11 +25,14 @@ def changed(tmp_path: Path, old: str, new: str) -> Path:
 def test_lqg3_measures_three_accelerations_with_the_papers_units_as_commented():
     weights = load_weights(LQG3)
     assert weights.measured == ["a1", "a2", "a3"]
-    # a displacement of 1 cm costs as much as 10^(4.466/2) kgf of command, an acceleration of 1 g as 10^(8.202/2) kgf
-    assert weights.weights.displacement * 0.01**2 == pytest.approx(10**4.466 * G**2, rel=1e-3)
-    assert weights.weights.acceleration * G**2 == pytest.approx(10**8.202 * G**2, rel=1e-3)
+    # a displacement of 1 cm costs as much as 10^(4.643/2) kgf of command, an acceleration a3 of 1 g as 10^(8.183/2) kgf
+    assert weights.weights.displacement * 0.01**2 == pytest.approx(10**4.643 * G**2, rel=1e-3)
+    a1, a2, a3 = weights.diagonal(["a1", "a2", "a3"])
+    assert a1 * G**2 == pytest.approx(10**7.684 * G**2, rel=1e-3)
+    assert a2 * G**2 == pytest.approx(10**7.861 * G**2, rel=1e-3)
+    assert a3 * G**2 == pytest.approx(10**8.183 * G**2, rel=1e-3)
     assert weights.weights.command == 1.0
-    assert weights.noise_to_excitation == pytest.approx(10**-0.153, rel=1e-3)
+    assert weights.noise_to_excitation == pytest.approx(10**-0.702, rel=1e-3)
 
 
 def test_each_signal_gets_the_weight_of_its_kind():
@@ -37,6 +40,21 @@ def test_each_signal_gets_the_weight_of_its_kind():
     kinds = weights.weights
     expected = [kinds.displacement, kinds.stroke, kinds.acceleration, kinds.force, kinds.command]
     np.testing.assert_array_equal(weights.diagonal(["x2", "xf", "a3", "f1", "U"]), expected)
+
+
+def test_a_signal_that_is_named_has_a_multiple_of_its_kinds_weight(tmp_path: Path):
+    weights = load_weights(changed(tmp_path, "a1: 0.3170", "x2: 0.25"))
+    kinds = weights.weights
+    expected = [kinds.displacement, 0.25 * kinds.displacement, kinds.acceleration]
+    np.testing.assert_allclose(weights.diagonal(["x1", "x2", "a1"]), expected, rtol=1e-15)
+
+
+def test_without_relative_weights_all_signals_of_a_kind_weigh_the_same(tmp_path: Path):
+    text = LQG3.read_text()
+    path = tmp_path / "weights.yaml"
+    path.write_text(text[: text.index("relative:")] + text[text.index("noise_to_excitation:") :])
+    a1, a2, a3 = load_weights(path).diagonal(["a1", "a2", "a3"])
+    assert a1 == a2 == a3
 
 
 def test_a_signal_of_no_known_kind_is_refused():
@@ -50,11 +68,13 @@ def test_a_signal_of_no_known_kind_is_refused():
         ("  command: 1.0 ", "  command: 0.0 ", "weights.command"),
         ("  force: 0.0 ", "  force: -1.0 ", "weights.force"),
         ("  stroke: 0.0 ", "  strokes: 0.0 ", "weights.stroke: key is missing|weights.strokes: unknown key"),
-        ("displacement: 2.8122e+10", "displacement: .nan", "weights.displacement"),
+        ("displacement: 4.2271e+10", "displacement: .nan", "weights.displacement"),
+        ("a1: 0.3170", "strain: 0.3170", "relative.*'strain'"),
+        ("a1: 0.3170", "a1: 0.0", "relative.a1"),
         ("[a1, a2, a3]", "[a1, a1]", "measured.*each name once"),
         ("[a1, a2, a3]", "[]", "measured"),
-        ("noise_to_excitation: 0.7031", "noise_to_excitation: 0", "noise_to_excitation"),
-        ("noise_to_excitation: 0.7031", "noise_to_excitation: loud", "noise_to_excitation.*'loud'"),
+        ("noise_to_excitation: 0.1986", "noise_to_excitation: 0", "noise_to_excitation"),
+        ("noise_to_excitation: 0.1986", "noise_to_excitation: loud", "noise_to_excitation.*'loud'"),
         ("measured:", "measured: [", "not YAML"),
     ],
 )

@@ -150,19 +150,21 @@ LAW = LinearModel(
     ("U",),
     0.002,
 )
-LIMIT = np.array([20e3])
+SMALL = Controller(
+    "small", LAW, np.zeros((2, 1)), np.zeros((2, 3)), np.array([20e3]), model="none", weights="none", margins="none"
+)
 
 
 @pytest.fixture(scope="module")
 def controller_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The law as a controller's parameter file."""
     path = tmp_path_factory.mktemp("controller") / "small.yaml"
-    save_controller(Controller("small", LAW, LIMIT, "none", "none", "none"), path)
+    save_controller(SMALL, path)
     return path
 
 
 def test_the_controller_answers_every_sample_with_its_law(graph, controller_file):
-    graph.start("controller", "--params-file", controller_file)
+    graph.start("controller", "--params-file", controller_file, ramp_time=0.0)
     graph.until(lambda: len(graph.commands) > 500, "the controller's answers")
     until_samples(graph, 10)
     answers = list(graph.commands)
@@ -170,8 +172,10 @@ def test_the_controller_answers_every_sample_with_its_law(graph, controller_file
     assert [answer.sequence for answer in answers] == list(range(first, first + len(answers)))
     answered = {response.sequence: response for response in graph.responses}
     assert [stamp(answer) for answer in answers] == [stamp(answered[answer.sequence]) for answer in answers]
-    law = ControlLaw(LAW.a, LAW.b, LAW.c, LAW.d, LIMIT)
-    expected = [law.update(answered[answer.sequence].acceleration[::2])[0] for answer in answers]
+    law, expected = ControlLaw(SMALL, LAW.inputs), []
+    for answer in answers:
+        expected.append(law.update(answered[answer.sequence].acceleration[::2])[0])
+        law.acted(answer.force.tolist())
     assert [answer.force[0] for answer in answers][3:] == expected[3:]
     assert np.abs(expected).max() > 0
     graph.until_well("controller")

@@ -14,8 +14,9 @@ from std_srvs.srv import Trigger
 
 from abrace_core.command_guard import CommandGuard
 from abrace_core.errors import AbraceError
+from abrace_core.latency import Latency
 from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, AbraceLifecycleNode, Parameter
-from abrace_core.sample_watch import SampleWatch
+from abrace_core.sample_watch import LONGEST_GAP, SampleWatch
 from abrace_core.wire import BraceCommands, Responses
 from abrace_interfaces.msg import BraceCommand, Response
 
@@ -40,13 +41,16 @@ class BraceCommander(AbraceLifecycleNode):
     def __init__(self, name: str, table: Sequence[Parameter]) -> None:
         super().__init__(name, [*table, RATE_LIMIT])
 
-    def open_loop(self, sample_period: float, force_limit: Sequence[float]) -> None:
-        """Make guard and topics; called by the subclass's `configure`, with the force limits [N] of each group."""
+    def open_loop(self, sample_period: float, force_limit: Sequence[float], longest_gap: int = LONGEST_GAP) -> None:
+        """Make guard and topics; called by the subclass's `configure`.
+
+        `force_limit` [N] of each group; `longest_gap` is how many samples in a row may be lost without a fault.
+        """
         rates = [self.parameters.rate_limit] * len(force_limit)
         self.guard = CommandGuard(force_limit, rates, sample_period, RAMP_TIME)
-        self.watch = SampleWatch(sample_period)
+        self.watch = SampleWatch(sample_period, longest_gap)
         self.responses, self.commands = Responses(), BraceCommands()
-        self.slowest = 0.0
+        self.latency = Latency(sample_period)
         self.quiet = True
         self.stopped = False
         self.pressed = False
@@ -66,6 +70,9 @@ class BraceCommander(AbraceLifecycleNode):
         """
         raise NotImplementedError
 
+    def acted(self, force: list[float]) -> None:
+        """What the guard has left of the force wanted acts in answer to the sample; for subclasses that use it."""
+
     def activate(self) -> None:
         """Answer from the next sample on."""
         if self.guard.fault_reason == DEACTIVATED:
@@ -82,22 +89,27 @@ class BraceCommander(AbraceLifecycleNode):
         """Answer a sample."""
         if not self.active and self.quiet:
             return
-        begin = time.perf_counter()
+        begin = time.perf_counter_ns()
         try:
             stamp, sequence, z = self.responses.unpack(payload)
         except AbraceError as error:
             self.guard.fault(str(error))
             return
+        seen = self.watch.sequence >= 0
         lost = self.watch.take(sequence, stamp)
         if self.watch.problem:
             self.guard.fault(self.watch.problem)
         if lost < 0:
+            if seen:
+                self.guard.rest()
             self.restart(sequence, self.responses.floors, self.responses.groups)
         wanted = self.force(sequence, z, lost) if self.guard.fault_reason is None else None
-        force = self.guard.check(wanted)
-        self.publisher.publish(self.commands.pack(stamp, sequence, force.tolist()))
-        self.quiet = not force.any()
-        self.slowest = max(self.slowest, time.perf_counter() - begin)
+        force = self.guard.check(wanted).tolist()
+        self.publisher.publish(self.commands.pack(stamp, sequence, force))
+        self.quiet = not any(force)
+        self.latency.take(time.perf_counter_ns() - begin, time.time_ns() - stamp)
+        if wanted is not None:
+            self.acted(force)
 
     def on_emergency_stop(self, message: Bool) -> None:
         """Someone pressed the button, or released it."""
@@ -129,7 +141,7 @@ class BraceCommander(AbraceLifecycleNode):
             "lost": self.watch.lost,
             "saturations": self.guard.saturations,
             "rate_limits": self.guard.rate_limits,
-            "slowest_answer_us": round(self.slowest * 1e6),
+            **self.latency.report(),
         }
         fault = self.guard.fault_reason
         if fault == DEACTIVATED:

@@ -84,6 +84,15 @@ class CommandGuard:
         """Reason of the first fault since the start or the last `clear`; None: no fault."""
         return self._fault_reason
 
+    @property
+    def force(self) -> NDArray[np.float64]:
+        """(groups,) [N], what the last `check` let act; zero before the first."""
+        return np.array(self._force)
+
+    def rest(self) -> None:
+        """The braces are at rest, because the rig has begun anew: the force goes on from zero."""
+        self._force = self._ramp_start = self._command = [0.0] * len(self._capacity)
+
     def fault(self, reason: str) -> None:
         """Latch a fault: from the next `check` on, the force goes to zero. Only the first reason is kept."""
         if self._fault_reason is None:

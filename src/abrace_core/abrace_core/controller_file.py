@@ -47,6 +47,8 @@ class ControllerParameters(Checked):
         (commands,) [N]: commands are cut to it, either way.
     a_d, b_d, c_d, d_d
         Eq. (13).
+    g_d, p_d
+        `Controller.correction` and `Controller.prediction`.
     """
 
     name: str
@@ -62,6 +64,8 @@ class ControllerParameters(Checked):
     b_d: list[float]
     c_d: list[float]
     d_d: list[float]
+    g_d: list[float]
+    p_d: list[float]
 
 
 class _Node(Checked):
@@ -82,6 +86,11 @@ class Controller:
         What it is called.
     law
         Eq. (13): discrete model from the measured quantities to the commands.
+    correction
+        (states, commands) G_d: what is added to the next state for each newton by which the command that acted differs
+        from the law's: q(n+1) = A_d q(n) + B_d y(n) + G_d (U_acted(n) - U_law(n)).
+    prediction
+        (measured, states + commands) P_d: the measured values that the estimate expects, P_d [q(n); U_acted(n)].
     force_limit
         (commands,) [N].
     model, weights, margins
@@ -90,6 +99,8 @@ class Controller:
 
     name: str
     law: LinearModel
+    correction: NDArray[np.float64]
+    prediction: NDArray[np.float64]
     force_limit: NDArray[np.float64]
     model: str
     weights: str
@@ -101,6 +112,20 @@ class Controller:
             raise AbraceError(f"controller {self.name}: continuous, expected a discrete law")
         if law.order < 1:
             raise AbraceError(f"controller {self.name}: no states, expected 1 or more")
+        radius = float(np.abs(np.linalg.eigvals(law.a)).max())
+        if not radius < 1:
+            raise AbraceError(
+                f"controller {self.name}: the law itself is not stable (spectral radius of a_d {radius:.6g}), "
+                "expected less than 1"
+            )
+        states, measured, commands = law.order, len(law.inputs), len(law.outputs)
+        for key, shape in (("correction", (states, commands)), ("prediction", (measured, states + commands))):
+            matrix = np.asarray(getattr(self, key), dtype=np.float64)
+            if matrix.shape != shape or not np.isfinite(matrix).all():
+                raise AbraceError(
+                    f"controller {self.name}: {key} of shape {matrix.shape}, expected finite numbers of shape {shape}"
+                )
+            object.__setattr__(self, key, matrix)
         limit = np.asarray(self.force_limit, dtype=np.float64)
         if limit.shape != (len(law.outputs),) or not (np.isfinite(limit).all() and limit.min() > 0):
             raise AbraceError(
@@ -110,8 +135,17 @@ class Controller:
         object.__setattr__(self, "force_limit", limit)
 
 
-def save_controller(controller: Controller, path: Path | str) -> None:
+def save_controller(controller: Controller, path: Path | str, proof: Sequence[str] = ()) -> None:
     """Write the controller's parameter file, whole or not at all; the same controller gives the same bytes.
+
+    Parameters
+    ----------
+    controller
+        What to write.
+    path
+        Of the file.
+    proof
+        Lines of the controller's proof, for people to read: comments at the top of the file.
 
     Raises
     ------
@@ -121,11 +155,13 @@ def save_controller(controller: Controller, path: Path | str) -> None:
     law = controller.law
     facts = {key: " ".join(getattr(controller, key).split()) for key in ("name", "model", "weights", "margins")}
     lines = [
-        f"# Controller {facts['name']}: Eq. (13), U(n) = C_d q(n) + D_d y(n), q(n+1) = A_d q(n) + B_d y(n).",
+        f"# Controller {facts['name']}: Eq. (13), U(n) = C_d q(n) + D_d y(n), q(n+1) = A_d q(n) + B_d y(n)",
+        "# + G_d (U_acted(n) - U(n)), U_acted being what limits left of U; y(n) = P_d [q(n); U_acted(n)] is expected.",
         "# A ROS 2 parameter file, written by abrace; SI units; matrices row by row.",
         f"# Made from: {facts['model']}",
         f"# Weights: {facts['weights']}",
         f"# Predicted: {facts['margins']}",
+        *(f"# {line}" for line in proof),
         "/**:",
         "  ros__parameters:",
         *(f"    {key}: {_quoted(value)}" for key, value in facts.items()),
@@ -135,7 +171,8 @@ def save_controller(controller: Controller, path: Path | str) -> None:
         f"    states: {law.order}",
         f"    force_limit: [{_row(controller.force_limit)}]",
     ]
-    for key, matrix in (("a_d", law.a), ("b_d", law.b), ("c_d", law.c), ("d_d", law.d)):
+    eq_13 = (("a_d", law.a), ("b_d", law.b), ("c_d", law.c), ("d_d", law.d))
+    for key, matrix in (*eq_13, ("g_d", controller.correction), ("p_d", controller.prediction)):
         rows = ",\n      ".join(_row(row) for row in matrix)
         lines.append(f"    {key}: [\n      {rows}]")
     write_text(path, "\n".join(lines) + "\n")
@@ -185,7 +222,8 @@ def _controller(parameters: ControllerParameters, source: str) -> Controller:
     """The controller that checked parameters describe, with lengths checked."""
     n, p, m = parameters.states, len(parameters.measured), len(parameters.commands)
     matrices: dict[str, NDArray[np.float64]] = {}
-    for key, shape in (("a_d", (n, n)), ("b_d", (n, p)), ("c_d", (m, n)), ("d_d", (m, p))):
+    eq_13 = (("a_d", (n, n)), ("b_d", (n, p)), ("c_d", (m, n)), ("d_d", (m, p)))
+    for key, shape in (*eq_13, ("g_d", (n, m)), ("p_d", (p, n + m))):
         values = np.array(getattr(parameters, key))
         if len(values) != shape[0] * shape[1]:
             raise AbraceError(f"{source}: {key}: {len(values)} numbers, expected {shape[0]} rows of {shape[1]}")
@@ -203,6 +241,8 @@ def _controller(parameters: ControllerParameters, source: str) -> Controller:
         return Controller(
             parameters.name,
             law,
+            matrices["g"],
+            matrices["p"],
             np.array(parameters.force_limit),
             parameters.model,
             parameters.weights,

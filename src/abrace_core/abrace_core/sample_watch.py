@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 LONGEST_GAP = 5
-"""Lost samples in a row that a node may bridge; more are a fault."""
+"""Lost samples in a row that a node may bridge if it is not told otherwise; more are a fault."""
 
 
 class SampleWatch:
@@ -13,9 +13,12 @@ class SampleWatch:
     ----------
     sample_period
         That the node is made for [s].
+    longest_gap
+        Lost samples in a row that it may bridge.
     """
 
-    def __init__(self, sample_period: float) -> None:
+    def __init__(self, sample_period: float, longest_gap: int = LONGEST_GAP) -> None:
+        self._longest_gap = longest_gap
         self._period = sample_period * 1e9
         self.sequence = -1
         """Number of the last sample; -1: none yet."""
@@ -47,8 +50,10 @@ class SampleWatch:
             return -1
         steps = sequence - last
         self.lost += steps - 1
-        if steps - 1 > LONGEST_GAP:
-            self.problem = f"{steps - 1} samples lost before sample {sequence}, at most {LONGEST_GAP} can be bridged"
+        if steps - 1 > self._longest_gap:
+            self.problem = (
+                f"{steps - 1} samples lost before sample {sequence}, at most {self._longest_gap} can be bridged"
+            )
         elif abs(elapsed - steps * self._period) > 0.5 * self._period:
             self.problem = (
                 f"sample {sequence} comes {elapsed / steps * 1e-6:g} ms after the one before, "

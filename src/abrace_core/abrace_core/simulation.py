@@ -88,6 +88,7 @@ def simulate_closed_loop(
     controller: LinearModel,
     ground_acceleration: NDArray[np.float64],
     capacity: NDArray[np.float64],
+    correction: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Run a controller (Eq. 13) on a discrete model from rest, with the rig's timing and saturation.
 
@@ -103,6 +104,9 @@ def simulate_closed_loop(
         (samples,) [m/s^2], finite.
     capacity
         (commands,) [N]; commands are cut to +-capacity.
+    correction
+        (controller's states, commands): what its next state gains for each newton that is cut off a command, so that
+        its estimate knows of the cut (`Controller.correction`); None: Eq. (13) as printed, which winds up meanwhile.
 
     Returns
     -------
@@ -130,7 +134,12 @@ def simulate_closed_loop(
             f"{capacity.shape}, expected (samples,) and ({commands},)"
         )
     _check_finite("closed loop: ground acceleration", ground_acceleration)
-    series = _in_series(model, controller)
+    correction = np.zeros((controller.order, commands)) if correction is None else np.asarray(correction)
+    if correction.shape != (controller.order, commands):
+        raise AbraceError(
+            f"closed loop: correction of shape {correction.shape}, expected ({controller.order}, {commands})"
+        )
+    series = _in_series(model, controller, correction)
     maps = _BlockMaps.of(series, min(_steady_length(series), samples))
     inputs = np.zeros((samples, 1 + commands))
     inputs[:, 0] = ground_acceleration
@@ -215,8 +224,12 @@ def _starts(
     return starts
 
 
-def _in_series(model: LinearModel, controller: LinearModel) -> LinearModel:
-    """From ground acceleration and commands in force to the model's outputs and the commands that answer them."""
+def _in_series(model: LinearModel, controller: LinearModel, correction: NDArray[np.float64]) -> LinearModel:
+    """From ground acceleration and commands in force to the model's outputs and the commands that answer them.
+
+    The controller's state q(k) is kept without the last command's share, p(k) = q(k) - G U(k-1): U(k-1), once it has
+    been cut, is the command in force at sample k, an input here. G is the `correction`.
+    """
     unseen = [name for name in controller.inputs if name not in model.outputs]
     if unseen:
         raise AbraceError(
@@ -224,11 +237,13 @@ def _in_series(model: LinearModel, controller: LinearModel) -> LinearModel:
         )
     measured = np.array([model.outputs.index(name) for name in controller.inputs], dtype=np.intp)
     c, d = model.c[measured], model.d[measured]
+    a, b = controller.a - correction @ controller.c, controller.b - correction @ controller.d
+    in_force = np.hstack([np.zeros((controller.order, 1)), correction])
     return LinearModel(
-        np.block([[model.a, np.zeros((model.order, controller.order))], [controller.b @ c, controller.a]]),
-        np.vstack([model.b, controller.b @ d]),
+        np.block([[model.a, np.zeros((model.order, controller.order))], [b @ c, a]]),
+        np.vstack([model.b, b @ d + a @ in_force]),
         np.block([[model.c, np.zeros((len(model.outputs), controller.order))], [controller.d @ c, controller.c]]),
-        np.vstack([model.d, controller.d @ d]),
+        np.vstack([model.d, controller.d @ d + controller.c @ in_force]),
         model.inputs,
         (*model.outputs, *(f"next {name}" for name in controller.outputs)),
         model.sample_period,

@@ -23,11 +23,9 @@ from scipy import linalg
 from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_lqg.margins import is_stable
+from abrace_lqg.loop import is_stable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from abrace_lqg.weights import Weights
@@ -44,6 +42,10 @@ class ControllerDesign:
     ----------
     controller
         Eq. (13): discrete model from the measured quantities to the commands.
+    correction
+        (states, commands): G_d of `observer`.
+    prediction
+        (measured, states + commands): P_d of `observer`.
     continuous
         Eq. (12), the same before it was sampled.
     design_model
@@ -57,6 +59,8 @@ class ControllerDesign:
     """
 
     controller: LinearModel
+    correction: NDArray[np.float64]
+    prediction: NDArray[np.float64]
     continuous: LinearModel
     design_model: LinearModel
     regulator_gain: NDArray[np.float64]
@@ -64,9 +68,7 @@ class ControllerDesign:
     weights: Weights
 
 
-def design(
-    model: LinearModel, weights: Weights, sample_period: float, others: Sequence[LinearModel] = ()
-) -> ControllerDesign:
+def design(model: LinearModel, weights: Weights, sample_period: float) -> ControllerDesign:
     """Design the controller of Eqs. (11) to (13).
 
     Parameters
@@ -77,8 +79,6 @@ def design(
         Weights, measured quantities and noise.
     sample_period
         Of the controller [s].
-    others
-        Further models (the full one, the rig's own) with which the loop must be stable too.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def design(
     Raises
     ------
     AbraceError
-        If the model does not fit, a Riccati equation has no good solution, or a loop is not stable.
+        If the model does not fit, a Riccati equation has no good solution, or the loop is not stable.
     """
     if model.sample_period or model.inputs[:1] != (signals.GROUND,) or len(model.inputs) < 2:
         raise AbraceError(
@@ -97,6 +97,10 @@ def design(
     if not (sample_period > 0 and np.isfinite(sample_period)):
         raise AbraceError(f"design: sample_period {sample_period} s, expected more than zero")
     commands = model.inputs[1:]
+    unknown = [name for name in weights.relative if name not in (*model.outputs, *commands)]
+    if unknown:
+        found = f"relative weights of {', '.join(unknown)}"
+        raise AbraceError(f"design: {found}, expected signals of the model: {', '.join((*model.outputs, *commands))}")
     plant = balanced(delayed(model, sample_period))
     b, e = plant.b[:, 1:], plant.b[:, :1]
     gain = regulator(
@@ -123,11 +127,10 @@ def design(
         tustin(continuous, sample_period),
         provenance={"method": "LQG", "weights": weights.model_dump(), "model": model.provenance, "order": model.order},
     )
-    for given in (model, *others):
-        if not is_stable(given, controller):
-            which = "its own model" if given is model else f"the model of {given.order} states"
-            raise AbraceError(f"design: the closed loop with {which} is not stable, expected other weights or model")
-    return ControllerDesign(controller, continuous, plant, gain, injection, weights)
+    if not is_stable(model, controller):
+        raise AbraceError("design: the closed loop with its own model is not stable, expected other weights or model")
+    correction, prediction = observer(measured, injection, sample_period)
+    return ControllerDesign(controller, correction, prediction, continuous, plant, gain, injection, weights)
 
 
 def delayed(model: LinearModel, sample_period: float) -> LinearModel:
@@ -258,6 +261,39 @@ def riccati(
     if linalg.eigvals(a - b @ gain).real.max() >= 0:
         raise AbraceError(f"design: the {name} is not stable")
     return np.asarray(x / np.outer(scale, scale) * size)
+
+
+def observer(
+    measured: LinearModel, filter_gain: NDArray[np.float64], sample_period: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What the filter in Eq. (13) makes of commands that act otherwise than the law gives them.
+
+    Tustin's transformation of the filter q' = (A - L C) q + (B - L D) U + L y has, with the loop U = -K q closed around
+    it, the states of Eq. (13). With the command left open instead it reads, U_law being what Eq. (13) gives,
+
+        q(n+1) = A_d q(n) + B_d y(n) + G_d (U(n) - U_law(n)),     y(n) = P_d [q(n); U(n)] + innovation.
+
+    Parameters
+    ----------
+    measured
+        The design model's measured quantities; its first input is the ground acceleration.
+    filter_gain
+        (states, measured): L.
+    sample_period
+        [s].
+
+    Returns
+    -------
+    correction, prediction
+        G_d (states, commands) and P_d (measured, states + commands).
+    """
+    half = sample_period / 2
+    b, d = measured.b[:, 1:], measured.d[:, 1:]
+    eye = np.eye(measured.order)
+    filtered = eye - half * (measured.a - filter_gain @ measured.c)
+    correction = 2 * half * linalg.solve(filtered, b - filter_gain @ d)
+    from_state = measured.c @ linalg.inv(eye - half * measured.a)
+    return correction, np.hstack([from_state, d + half * from_state @ b])
 
 
 def tustin(model: LinearModel, sample_period: float) -> LinearModel:

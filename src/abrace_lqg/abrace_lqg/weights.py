@@ -55,6 +55,8 @@ class Weights(Checked):
         Names of the measured quantities y, in the order in which the controller takes them.
     weights
         By kind of signal.
+    relative
+        By name of a signal: what its kind's weight is multiplied by. Signals that are not named have their kind's.
     noise_to_excitation
         Intensity of each measured quantity's noise (its unit squared) over that of the ground acceleration
         ((m/s^2)^2), both white.
@@ -62,6 +64,7 @@ class Weights(Checked):
 
     measured: Annotated[list[str], pydantic.Field(min_length=1)]
     weights: KindWeights
+    relative: dict[str, Positive] = {}
     noise_to_excitation: Positive
 
     @pydantic.field_validator("measured")
@@ -71,9 +74,19 @@ class Weights(Checked):
             raise ValueError("each name once")
         return names
 
+    @pydantic.field_validator("relative")
+    @classmethod
+    def _of_known_kinds(cls, relative: dict[str, float]) -> dict[str, float]:
+        for name in relative:
+            try:
+                kind(name)
+            except AbraceError as error:
+                raise ValueError(str(error)) from error
+        return relative
+
     def diagonal(self, names: Sequence[str]) -> NDArray[np.float64]:
         """(len(names),) the weight of each of these signals."""
-        return np.array([getattr(self.weights, kind(name)) for name in names])
+        return np.array([getattr(self.weights, kind(name)) * self.relative.get(name, 1.0) for name in names])
 
 
 def kind(name: str) -> str:

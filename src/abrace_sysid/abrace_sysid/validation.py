@@ -111,7 +111,13 @@ class Comparison:
         ]
 
 
-def compare(run: Run, model: LinearModel, controller: LinearModel | None, capacity: NDArray[np.float64]) -> Comparison:
+def compare(
+    run: Run,
+    model: LinearModel,
+    controller: LinearModel | None,
+    capacity: NDArray[np.float64],
+    correction: NDArray[np.float64] | None = None,
+) -> Comparison:
     """Simulate a recorded test and set it beside the record.
 
     Parameters
@@ -124,6 +130,8 @@ def compare(run: Run, model: LinearModel, controller: LinearModel | None, capaci
         Discrete, from some of those to the commands, as in Eq. (13); None: the recorded command drives the model.
     capacity
         (commands,) greatest command [N].
+    correction
+        (controller's states, commands): the controller's G_d, as in `simulate_closed_loop`.
 
     Raises
     ------
@@ -147,7 +155,7 @@ def compare(run: Run, model: LinearModel, controller: LinearModel | None, capaci
         unmeasured = [name for name in controller.inputs if name not in run.names]
         if unmeasured:
             raise AbraceError(f"{run.source}: the controller measures {', '.join(unmeasured)}, which the run has not")
-        simulated, commands = simulate_closed_loop(sampled, controller, run.ground_acceleration, capacity)
+        simulated, commands = simulate_closed_loop(sampled, controller, run.ground_acceleration, capacity, correction)
     return Comparison(
         run.source,
         run.time,

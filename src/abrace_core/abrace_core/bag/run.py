@@ -43,7 +43,8 @@ def read_run(bag: Path | str, topic: str | None = None, whole: bool = True) -> R
     Raises
     ------
     AbraceError
-        If there is no such bag or topic, it has no messages, samples are missing from a test that has to be whole, or a value is not finite.
+        If there is no such bag or topic, it has no messages, a test that has to be whole lacks samples, or a value is
+        not finite.
     """
     contents = read_selected(bag, lambda channel: channel.type_name == RESPONSE_TYPE)
     aside = f" ({'; '.join(contents.warnings)})" if contents.warnings else ""

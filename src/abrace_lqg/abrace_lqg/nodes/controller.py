@@ -5,13 +5,17 @@ ros2 run abrace_lqg controller --ros-args --params-file lqg3.yaml
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from abrace_core.brace_commander import BraceCommander
-from abrace_core.controller_file import ControllerParameters, controller_from_parameters
+from abrace_core.controller_file import ControllerParameters, controller_from_parameters, load_controller
+from abrace_core.errors import AbraceError
 from abrace_core.node import Parameter, run
+from abrace_core.sample_watch import LONGEST_GAP
 from abrace_core.signals import command_names, response_names
-from abrace_lqg.controller import ControlLaw
+from abrace_lqg.active_controller import ActiveController
 
 PARAMETERS = [
     Parameter("name", "", "what the controller is called", required=True),
@@ -27,6 +31,15 @@ PARAMETERS = [
     Parameter("b_d", [], "B_d of Eq. (13), row by row", element=float, required=True),
     Parameter("c_d", [], "C_d of Eq. (13), row by row", element=float, required=True),
     Parameter("d_d", [], "D_d of Eq. (13), row by row", element=float, required=True),
+    Parameter("g_d", [], "G_d: states from newtons that acted but were not the law's", element=float, required=True),
+    Parameter(
+        "p_d", [], "P_d: measured values that the states and the command lead to expect", element=float, required=True
+    ),
+    Parameter("ramp_time", 0.5, "s, within which the force comes in, or changes to the next controller's", minimum=0.0),
+    Parameter(
+        "max_lost", LONGEST_GAP, "lost samples in a row that are bridged; more are a fault", minimum=0, maximum=50
+    ),
+    Parameter("next", "", "controller file that takes over from the one in use, without a jump in force", live=True),
 ]
 
 
@@ -37,34 +50,45 @@ class Controller(BraceCommander):
         super().__init__("controller", PARAMETERS)
 
     def configure(self) -> None:
-        """Check the law."""
-        given = {key: getattr(self.parameters, key) for key in ControllerParameters.model_fields}
-        self.controller = controller_from_parameters(given, "controller parameters")
-        law = self.controller.law
-        self.law = ControlLaw(law.a, law.b, law.c, law.d, self.controller.force_limit)
-        self.open_loop(law.sample_period, self.controller.force_limit.tolist())
+        """Check the controller; `next`, where it is given, is the one."""
+        given = self.parameters
+        parameters = {key: getattr(given, key) for key in ControllerParameters.model_fields}
+        controller = controller_from_parameters(parameters, "controller parameters")
+        if given.next:
+            controller = load_controller(given.next)
+        self.law = ActiveController(controller, given.ramp_time)
+        self.open_loop(controller.law.sample_period, controller.force_limit.tolist(), given.max_lost)
+
+    def parameter_changed(self, name: str, value: Any) -> None:
+        """Another controller takes over."""
+        if not self.active:
+            raise AbraceError(f"parameter {name}: {value}: the node is not active, expected a controller in use")
+        if not value:
+            raise AbraceError(f"parameter {name}: empty, expected a controller file")
+        self.law.change(load_controller(value))
 
     def restart(self, sequence: int, floors: int, groups: int) -> None:
-        """Forget the past; find the measured quantities in this rig's responses."""
-        self.law.reset()
-        names = response_names(floors, groups)
-        law = self.controller.law
-        missing = [name for name in law.inputs if name not in names]
-        if missing or law.outputs != command_names(groups):
-            self.guard.fault(
-                f"controller {self.controller.name} is for another rig: it takes {', '.join(law.inputs)} and gives "
-                f"{', '.join(law.outputs)}; this rig has {', '.join(names)} and {', '.join(command_names(groups))}"
-            )
-            return
-        self.measured = [names.index(name) for name in law.inputs]
-        self.last = [0.0] * len(self.measured)
+        """Begin anew with this sample."""
+        try:
+            self.law.begin(response_names(floors, groups), command_names(groups), self.guard.force)
+        except AbraceError as error:
+            self.guard.fault(str(error))
 
     def force(self, sequence: int, z: tuple[float, ...], lost: int) -> np.ndarray:
-        """The law's answer; over lost samples its state goes on with the last measured values."""
-        for _ in range(lost):
-            self.law.update(self.last)
-        self.last = [z[index] for index in self.measured]
-        return self.law.update(self.last)
+        """The law's answer."""
+        return self.law.force(z, lost)
+
+    def acted(self, force: list[float]) -> None:
+        """What the limits have left of it."""
+        self.law.acted(force)
+
+    def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
+        """State for `diagnostics`, with the innovation of each measured quantity."""
+        fault, message, values = super().diagnose()
+        if self.configured:
+            values.update(controller=self.law.controller.name, controller_state=self.law.state)
+            values.update((f"innovation_rms {name}", f"{rms:.6g}") for name, rms in self.law.innovation_rms().items())
+        return fault, message, values
 
 
 def main() -> int:

@@ -1,26 +1,25 @@
-"""The node `design`: a model file and a weights file to a controller's parameter file."""
+"""The node `design`: a model file and a weights file to a controller's parameter file, with its proof beside it."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import numpy as np
-
-from abrace_core.controller_file import Controller, save_controller
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import load_model
 from abrace_core.node import AbraceNode, Parameter, find_file, run
-from abrace_lqg.design import design
-from abrace_lqg.margins import closed_loop_poles, margins
+from abrace_lqg.prediction import Excitation
+from abrace_lqg.proof import OBJECTIONS
+from abrace_lqg.proof_files import design_to_file
+from abrace_lqg.proof_table import lines
 from abrace_lqg.weights import load_weights
 
 PARAMETERS = [
     Parameter("model", "", "model file (JSON) to design with", required=True),
-    Parameter("check_models", [], "further model files with which the loop has to be stable", element=str),
+    Parameter("check_models", [], "further model files, the rig's too if there is one, to prove it with", element=str),
     Parameter("weights", "lqg3", "weights: a name in the package's configuration or a file", required=True),
     Parameter("sample_period", 0.002, "s, of the controller", minimum=1e-6),
     Parameter("force_limit", [24516.625], "N, of one brace of each group", minimum=1.0),
-    Parameter("output", "", "controller file (YAML) to write", required=True),
+    Parameter("accept", [], "objections in spite of which the controller is written", choices=OBJECTIONS, element=str),
+    Parameter("excitation_rms", 0.25, "m/s^2, of the ground acceleration for which rms is predicted", minimum=1e-9),
+    Parameter("excitation_band", [0.3, 10.0], "Hz, lowest and highest frequency of that excitation", minimum=0.0),
+    Parameter("output", "", "controller file (YAML) to write; the proof's files are written beside it", required=True),
 ]
 
 
@@ -31,30 +30,28 @@ class Design(AbraceNode):
         super().__init__("design", PARAMETERS)
 
     def work(self) -> None:
-        """Design, report, write."""
+        """Design, prove, write, report."""
         given = self.parameters
         if not given.output.endswith(".yaml"):
             raise AbraceError(f"parameter output: {given.output}, expected a file name that ends in .yaml")
+        if len(given.excitation_band) != 2:
+            raise AbraceError(f"parameter excitation_band: {given.excitation_band}, expected two frequencies")
+        excitation = Excitation(given.excitation_rms, tuple(given.excitation_band))
         weights_file = find_file(given.weights, "abrace_lqg", "config", ".yaml", "weights")
-        model, weights = load_model(given.model), load_weights(weights_file)
-        others = [load_model(path) for path in given.check_models]
-        designed = design(model, weights, given.sample_period, others)
-        found = margins(model, designed.controller)
-        bags = model.provenance.get("bags", {})
-        controller = Controller(
-            name=Path(given.output).stem,
-            law=designed.controller,
-            force_limit=np.array(given.force_limit),
-            model=f"{given.model}, {model.order} states, from {', '.join(map(str, bags.values())) or 'unknown bags'}",
-            weights=f"{weights_file.name}: {weights}",
-            margins=str(found),
+        weights = load_weights(weights_file)
+        proof, controller, written = design_to_file(
+            [given.model, *given.check_models],
+            weights,
+            weights_file.name,
+            given.sample_period,
+            given.force_limit,
+            given.output,
+            excitation,
+            given.accept,
         )
-        save_controller(controller, given.output)
-        print(f"margins with the model of {model.order} states: {found}")
-        print("closed-loop poles (rad/s, damping ratio):")
-        for frequency, damping_ratio in closed_loop_poles(model, designed.controller):
-            print(f"  {frequency:9.3f}  {damping_ratio:7.4f}")
-        print(f"wrote {given.output}")
+        print("\n".join(lines(proof)))
+        print(controller.margins)
+        print(f"wrote {', '.join(map(str, written))}")
 
 
 def main() -> int:

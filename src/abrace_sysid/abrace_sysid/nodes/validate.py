@@ -46,14 +46,16 @@ class Validate(AbraceNode):
         for recorded in [test] + ([uncontrolled] if uncontrolled else []):
             for warning in recorded.facts.get("warnings", []):
                 print(warning, file=sys.stderr, flush=True)
-        law, limit = None, np.full(test.groups, np.inf)
+        law, limit, correction = None, np.full(test.groups, np.inf), None
         if given.controller:
             controller = load_controller(given.controller)
-            law, limit = controller.law, controller.force_limit
+            law, limit, correction = controller.law, controller.force_limit, controller.correction
         print("simulating", flush=True)
-        comparison = compare(test, model, law, limit)
+        comparison = compare(test, model, law, limit, correction)
         agreement = _agreement(comparison)
-        others = {Path(path).stem: compare(test, load_model(path), law, limit) for path in given.other_models}
+        others = {
+            Path(path).stem: compare(test, load_model(path), law, limit, correction) for path in given.other_models
+        }
         content = {
             "test": {
                 "record": test.facts.get("record", ""),

@@ -48,7 +48,7 @@ class Progress:
 
     @contextlib.contextmanager
     def step(self, name: str) -> Iterator[Step]:
-        """Show a step while the block runs, and at its end whether it was done, stopped or failed."""
+        """Show a step called `name` while the block runs, and at its end whether it was done, stopped or failed."""
         self._number += 1
         step = Step(f"[{self._number}/{self._steps}] {name}", self._stream, self._clock)
         try:
@@ -97,7 +97,7 @@ class Step:
             self._write(f"{self._title}: {percent}{self._elapsed()}{self._at_rate()}\n")
 
     def close(self, outcome: str) -> None:
-        """Write the step's last line, which stays."""
+        """Write the step's last line, which stays: its title and `outcome`."""
         clear = "\r\x1b[K" if self._redraws else ""
         self._write(f"{clear}{self._title}: {outcome} {self._elapsed()}{self._at_rate()}\n")
 

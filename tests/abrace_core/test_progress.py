@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from abrace_bringup.progress import Progress
+from abrace_core.progress import Progress
 
 
 class Terminal(io.StringIO):

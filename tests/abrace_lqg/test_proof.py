@@ -1,0 +1,298 @@
+"""Proof before use: each prediction against an independent calculation, what is refused, and the files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from abrace_core.controller_file import Controller, load_controller, save_controller
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import LinearModel, save_model
+from abrace_lqg.controller import ControlLaw
+from abrace_lqg.design import ControllerDesign, design
+from abrace_lqg.figures import loop_figure
+from abrace_lqg.loop import closed_loop, is_stable, sampled
+from abrace_lqg.lost_samples import lost_samples
+from abrace_lqg.margins import margins
+from abrace_lqg.mode_damping import mode_effects
+from abrace_lqg.prediction import Excitation, controlled_and_not, predicted_rms
+from abrace_lqg.proof import OBJECTIONS, SHORT_DELAY, UNSTABLE, Proof, prove, require
+from abrace_lqg.proof_files import load_models, save_proof
+from abrace_lqg.proof_table import lines
+from abrace_lqg.weights import Weights, load_weights
+from abrace_plant.rig_file import load_rig
+
+SOURCES = Path(__file__).parents[2] / "src"
+PERIOD = 0.002
+
+
+@pytest.fixture(scope="module")
+def rig_model() -> LinearModel:
+    return load_rig(SOURCES / "abrace_plant/config/ncree_three_storey.yaml").model
+
+
+@pytest.fixture(scope="module")
+def designed(rig_model: LinearModel) -> ControllerDesign:
+    return design(rig_model, load_weights(SOURCES / "abrace_lqg/config/lqg3.yaml"), PERIOD)
+
+
+@pytest.fixture(scope="module")
+def turned(rig_model: LinearModel) -> LinearModel:
+    """A rig whose accelerometers are turned around: stable by itself, not with the controller."""
+    sign = np.array([-1.0 if name.startswith("a") else 1.0 for name in rig_model.outputs])
+    return replace(rig_model, c=sign[:, None] * rig_model.c, d=sign[:, None] * rig_model.d)
+
+
+@pytest.fixture(scope="module")
+def proof(rig_model: LinearModel, designed: ControllerDesign) -> Proof:
+    return prove(designed, {"rig": rig_model})
+
+
+def louder(designed: ControllerDesign, factor: float) -> ControllerDesign:
+    law = designed.controller
+    return replace(designed, controller=replace(law, c=factor * law.c, d=factor * law.d))
+
+
+def controller_of(designed: ControllerDesign) -> Controller:
+    return Controller(
+        "one", designed.controller, designed.correction, designed.prediction, np.array([1e9]), "m", "w", "g"
+    )
+
+
+# what is predicted
+
+
+def test_rms_for_noise_up_to_half_the_sampling_rate_is_that_of_the_lyapunov_equation(
+    rig_model: LinearModel, designed: ControllerDesign
+):
+    found = predicted_rms(rig_model, designed.controller, Excitation(0.3, (0.0, 0.5 / PERIOD)))
+    loop = closed_loop(rig_model, designed.controller)
+    # states in units of their own size, as they span many powers of ten
+    _, (scale, _) = linalg.matrix_balance(loop.a, permute=False, separate=True)
+    a, b, c = loop.a * scale / scale[:, None], loop.b / scale[:, None], loop.c * scale
+    covariance = linalg.solve_discrete_lyapunov(a, b @ b.T, method="bilinear")
+    expected = 0.3 * np.sqrt(np.diag(c @ covariance @ c.T) + np.diag(loop.d @ loop.d.T))
+    np.testing.assert_allclose([found[name] for name in loop.outputs], expected, rtol=2e-3)
+
+
+def test_power_of_two_bands_adds_up(rig_model: LinearModel, designed: ControllerDesign):
+    def power(band: tuple[float, float]) -> np.ndarray:
+        rms = np.sqrt(band[1] - band[0])
+        return np.array(list(predicted_rms(rig_model, designed.controller, Excitation(rms, band)).values())) ** 2
+
+    np.testing.assert_allclose(power((0.5, 4.0)) + power((4.0, 20.0)), power((0.5, 20.0)), rtol=1e-3)
+
+
+def test_without_control_the_command_is_zero_and_the_building_moves_more(
+    rig_model: LinearModel, designed: ControllerDesign
+):
+    found = controlled_and_not(rig_model, designed.controller, Excitation())
+    assert list(found) == [*rig_model.outputs, "U"]
+    assert found["U"][0] == 0.0 < found["U"][1]
+    assert all(controlled < 0.5 * without for name, (without, controlled) in found.items() if name[0] in "xa")
+
+
+@pytest.mark.parametrize("wrong", [{"rms": 0.0}, {"band": (3.0, 3.0)}, {"band": (-1.0, 2.0)}, {"rms": np.inf}])
+def test_an_excitation_that_is_none_is_refused(wrong: dict):
+    with pytest.raises(AbraceError, match="excitation of"):
+        Excitation(**wrong)
+
+
+def test_a_band_beyond_half_the_sampling_rate_is_refused(rig_model: LinearModel, designed: ControllerDesign):
+    with pytest.raises(AbraceError, match="at most 250 Hz"):
+        predicted_rms(rig_model, designed.controller, Excitation(0.25, (0.3, 300.0)))
+
+
+def two_oscillators(coupling: float) -> LinearModel:
+    """20 and 60 rad/s, 2 and 1 %; the command pushes the second `coupling` times as much as the first."""
+    blocks = [np.array([[0.0, 1.0], [-(w**2), -2 * z * w]]) for w, z in ((20.0, 0.02), (60.0, 0.01))]
+    b = np.array([[0.0, 0.0], [1.0, 1.0], [0.0, 0.0], [1.0, coupling]])
+    c = np.array([[0.0, 1.0, 0.0, 1.0]])
+    return LinearModel(linalg.block_diag(*blocks), b, c, np.zeros((1, 2)), ("w", "U"), ("y1",))
+
+
+def damper(gain: float) -> LinearModel:
+    zero = np.zeros((1, 1))
+    return LinearModel(np.eye(1) / 2, zero, zero, np.array([[-gain]]), ("y1",), ("U",), PERIOD)
+
+
+def test_each_pole_pair_is_followed_to_its_place_in_the_loop():
+    first = two_oscillators(0.0)
+    alone = replace(first, a=first.a[:2, :2], b=first.b[:2], c=first.c[:, :2])
+    low, high = mode_effects(first, damper(4.0), alone)
+    assert (low.modelled, high.modelled) == (True, False)
+    assert low.frequency == pytest.approx(20.0)
+    # v' = ... - gain v adds gain / (2 w) of damping, but for the loop's delay of 1.5 samples
+    assert low.controlled_damping == pytest.approx(0.02 + 4.0 / 40.0, rel=0.05)
+    assert high.kept == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_mode_that_is_pushed_the_wrong_way_loses_damping():
+    effects = mode_effects(two_oscillators(-0.1), damper(4.0), two_oscillators(0.0))
+    # -0.1 of the gain: 0.4 / (2 * 60) of the damping ratio 0.01 is taken
+    assert effects[1].kept == pytest.approx((0.01 - 0.4 / 120) / 0.01, rel=0.1)
+    assert all(mode.modelled for mode in effects)
+
+
+# lost samples, against the law that runs
+
+
+def run(plant: LinearModel, designed: ControllerDesign, ground: np.ndarray, lost: set[int]) -> np.ndarray:
+    """Commands in force (samples,) of the run-time law on the plant, with some samples lost."""
+    law = ControlLaw(controller_of(designed), plant.outputs)
+    state, command, gap = np.zeros(plant.order), np.zeros(1), 0
+    in_force = np.zeros(len(ground))
+    for k, w in enumerate(ground):
+        u = np.array([w, command[0]])
+        in_force[k] = command[0]
+        y = plant.c @ state + plant.d @ u
+        state = plant.a @ state + plant.b @ u
+        if k in lost:
+            gap += 1
+            continue
+        law.bridge(gap)
+        gap = 0
+        command = law.update(y).copy()
+        law.acted(command)
+    return in_force
+
+
+@pytest.mark.parametrize("in_a_row", [1, 2])
+def test_a_single_loss_moves_the_command_as_the_running_law_does(
+    rig_model: LinearModel, designed: ControllerDesign, in_a_row: int
+):
+    plant, omega, at = sampled(rig_model, PERIOD), 2 * np.pi * 3.0, 2500
+    time = np.arange(2900) * PERIOD
+    changes, usual = [], []
+    for ground in (np.cos(omega * time), np.sin(omega * time)):
+        undisturbed = run(plant, designed, ground, set())
+        changes.append(run(plant, designed, ground, set(range(at, at + in_a_row))) - undisturbed)
+        usual.append(undisturbed[at])
+    expected = np.sqrt(np.sum(np.square(changes), axis=0)).max() / np.sqrt(np.sum(np.square(usual)))
+    narrow = Excitation(1.0, (3.0 - 1e-6, 3.0 + 1e-6))
+    found = lost_samples(rig_model, designed.controller, designed.correction, narrow, in_a_row)
+    assert found.command_deviation == pytest.approx(expected, rel=1e-2)
+
+
+def test_rhythms_of_losses_that_the_loop_bears_are_those_of_the_running_law(rig_model: LinearModel):
+    weights = load_weights(SOURCES / "abrace_lqg/config/lqg3.yaml")
+    sound = design(rig_model, weights, PERIOD)
+    edge = 10 ** (margins(rig_model, sound.controller).gain / 20)
+    plant, shake = sampled(rig_model, PERIOD), np.random.default_rng(1).standard_normal(200)
+    # near its edge of stability the loop bears only rare losses, and how rare is seen in its motion
+    tense = louder(sound, 0.97 * edge)
+    for one, in_a_row in ((sound, 1), (tense, 2)):
+        found = lost_samples(rig_model, one.controller, one.correction, Excitation(), in_a_row).stable_every
+        assert found is not None
+        for period in {found, found - 1} - {in_a_row}:
+            ground = np.concatenate([shake, np.zeros(9800)])
+            lost = {k for k in range(len(ground)) if k % period < in_a_row and k > period}
+            moved = run(plant, one, ground, lost)
+            late, early = np.abs(moved[-1000:]).max(), np.abs(moved[2000:3000]).max()
+            assert (late < early) == (period == found), (in_a_row, period)
+
+
+# refusals
+
+
+def test_a_sound_design_has_nothing_against_it(proof: Proof):
+    assert require(proof).accepted == ()
+    assert not proof.objections()
+    assert proof.margins.gain > 8
+    assert proof.kept > 0.85
+    assert "gain margin" in proof.summary()
+
+
+def test_a_design_that_is_unstable_with_a_check_model_is_refused_unless_accepted_by_name(
+    rig_model: LinearModel, turned: LinearModel, designed: ControllerDesign
+):
+    assert not is_stable(turned, designed.controller)
+    found = prove(designed, {"rig": rig_model, "turned": turned})
+    with pytest.raises(AbraceError, match=r"with turned \(14 states\) is not stable.*unstable_with_check_model"):
+        require(found)
+    with pytest.raises(AbraceError, match="is not stable"):
+        require(found, [SHORT_DELAY])
+    accepted = require(found, [UNSTABLE])
+    assert accepted.accepted == (UNSTABLE,)
+    assert "accepted by name: unstable_with_check_model, the closed loop with turned" in accepted.summary()
+    assert any("NOT STABLE" in line for line in lines(accepted))
+
+
+def test_a_delay_margin_under_4_ms_is_refused_unless_accepted_by_name(
+    rig_model: LinearModel, designed: ControllerDesign
+):
+    edge = 10 ** (margins(rig_model, designed.controller).gain / 20)
+    found = prove(louder(designed, 0.98 * edge), {"rig": rig_model})
+    assert found.margins.delay < 0.004
+    with pytest.raises(AbraceError, match=r"delay margin \d.\d\d ms, expected at least 4 ms.*short_delay_margin"):
+        require(found)
+    assert require(found, OBJECTIONS).accepted == (SHORT_DELAY,)
+
+
+def test_a_loop_that_is_unstable_with_its_own_model_is_not_proven(turned: LinearModel, designed: ControllerDesign):
+    with pytest.raises(AbraceError, match="with turned, the design's own model, is not stable"):
+        prove(designed, {"turned": turned})
+
+
+def test_a_check_model_of_another_rig_is_named(rig_model: LinearModel, designed: ControllerDesign):
+    with pytest.raises(AbraceError, match=r"proof with model other: .*'a3'"):
+        prove(designed, {"rig": rig_model, "other": rig_model.select(["x1", "a1", "a2"])})
+
+
+# several commands, and files
+
+
+def test_a_rig_of_two_brace_groups_is_proven_at_each_command():
+    model = load_rig(SOURCES / "abrace_plant/config/five_storey.yaml").model
+    weights = Weights.model_validate(
+        {
+            "measured": ["a1", "a3", "a5"],
+            "weights": {"displacement": 1e11, "stroke": 0.0, "acceleration": 1e9, "force": 0.0, "command": 1.0},
+            "noise_to_excitation": 0.5,
+        }
+    )
+    found = prove(two := design(model, weights, PERIOD), {"five": model})
+    assert list(found.models[0].margins) == ["U1", "U2", "a1", "a3", "a5"]
+    assert found.margins.gain == min(found.models[0].margins[name].gain for name in ("U1", "U2"))
+    assert found.models[0].disk is not None
+    assert found.models[0].disk.gain < found.margins.gain
+    nichols = loop_figure(found, {"five": model}, two.controller).axes[0]
+    assert [text.get_text() for text in nichols.get_legend().get_texts()] == ["U1, five", "U2, five", "margins"]
+
+
+def test_the_proof_is_written_beside_the_controller_and_into_it(
+    tmp_path: Path, rig_model: LinearModel, turned: LinearModel, designed: ControllerDesign
+):
+    models = {"rig": rig_model, "turned": turned}
+    found = require(prove(designed, models), OBJECTIONS)
+    file = tmp_path / "one.yaml"
+    written = save_proof(found, models, designed.controller, file)
+    save_controller(controller_of(designed), file, lines(found))
+    assert [path.name for path in written] == ["one_proof.json", "one_loop.png", "one_poles.png", "one_prediction.png"]
+    assert all(path.read_bytes()[:4] == b"\x89PNG" for path in written[1:])
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["one.yaml", *(path.name for path in written)])
+    np.testing.assert_array_equal(load_controller(file).law.a, designed.controller.a)
+    text = file.read_text()
+    assert all(f"# {line}\n" in text for line in lines(found))
+    content = json.loads(written[0].read_text())
+    rig, other = content["models"]
+    assert content["accepted"] == [UNSTABLE]
+    assert rig["margins"]["U"]["gain"] == pytest.approx(margins(rig_model, designed.controller).gain)
+    assert rig["margins"]["a3"]["delay"] is None or rig["margins"]["a3"]["delay"] > 0
+    assert other["margins"] == {}
+    assert not other["stable"]
+    assert {mode["kept"] > 0 for mode in rig["modes"]} == {True}
+
+
+def test_models_are_called_what_their_files_are(tmp_path: Path, rig_model: LinearModel):
+    paths = [tmp_path / "a/model.json", tmp_path / "b/model.json", tmp_path / "rig.json"]
+    for path in paths:
+        save_model(rig_model, path)
+    assert list(load_models(list(map(str, paths)))) == [str(paths[0]), str(paths[1]), "rig"]
+    with pytest.raises(AbraceError, match="given twice"):
+        load_models([str(paths[0]), str(paths[0])])

@@ -1,0 +1,158 @@
+"""The real controller in a rig's loop: its force comes in, changes laws and bridges lost samples without a jump."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+
+from abrace_core.controller_file import Controller, save_controller
+from abrace_core.linear_model import LinearModel
+from abrace_interfaces.msg import BraceCommand, Response
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PERIOD = 2_000_000
+RAMP = 0.5
+STEPS = round(RAMP / 0.002)
+STEEPEST = np.pi / 2 / STEPS
+LIMIT = np.array([20e3])
+
+
+def controller(name: str, gain: float, inputs: tuple[str, ...] = ("a1",)) -> Controller:
+    """A law that answers a steady a1 = 1 with `gain` newtons."""
+    law = LinearModel([[0.5]], [[0.5]], [[gain]], [[0.0]], inputs, ("U",), 0.002)
+    return Controller(name, law, np.zeros((1, 1)), np.zeros((1, 2)), LIMIT, "none", "none", "none")
+
+
+class Rig:
+    """The hand of the test in a rig's place: sends samples of its choice and takes the answers."""
+
+    def __init__(self, graph: Any) -> None:
+        self.graph = graph
+        self.commands = graph.listen(BraceCommand, "brace_command")
+        self.publisher = graph.publisher(Response, "response")
+        self.sequence = 0
+
+    def send(self, a1: float, lost: int = 0) -> float:
+        """Send the next sample, after so many that are lost; returns the force that answers it."""
+        self.sequence += 1 + lost
+        sample = Response(sequence=self.sequence, displacement=[0.0] * 3, acceleration=[a1, 0.0, 0.0])
+        sample.stroke = sample.force = sample.command = [0.0]
+        nanoseconds = self.sequence * PERIOD
+        sample.header.stamp.sec, sample.header.stamp.nanosec = divmod(nanoseconds, 10**9)
+        count = len(self.commands)
+        self.publisher.publish(sample)
+        self.graph.until(lambda: len(self.commands) > count, "an answer")
+        assert self.commands[-1].sequence == self.sequence
+        return float(self.commands[-1].force[0])
+
+    def hold(self, a1: float, samples: int) -> np.ndarray:
+        """(samples,) forces that answer a steady a1."""
+        return np.array([self.send(a1) for _ in range(samples)])
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> dict[str, Path]:
+    """Controller files by name."""
+    made = {}
+    for one in (controller("one", 1000.0), controller("two", -2000.0), controller("other", 1.0, ("a9",))):
+        made[one.name] = tmp_path / f"{one.name}.yaml"
+        save_controller(one, made[one.name])
+    return made
+
+
+@pytest.fixture
+def rig(graph: Any, files: dict[str, Path]) -> Rig:
+    """With the controller `one` at its braces."""
+    graph.start("controller", "--params-file", files["one"])
+    hand = Rig(graph)
+    graph.until_matched("controller", response=1, brace_command=1)
+    return hand
+
+
+def set_next(graph: Any, path: Path | str) -> Any:
+    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(path))
+    request = SetParameters.Request(parameters=[Parameter(name="next", value=value)])
+    return graph.call(SetParameters, "controller/set_parameters", request).results[0]
+
+
+def test_the_force_ramps_in_and_a_deactivated_one_comes_back_from_where_it_is(rig: Rig):
+    found = rig.hold(1.0, STEPS + 20)
+    assert np.abs(np.diff(found)).max() < 1.01 * STEEPEST * 1000.0
+    np.testing.assert_allclose(found[-10:], 1000.0)
+    assert rig.graph.change_state("controller", "deactivate")
+    falling = rig.hold(1.0, STEPS // 2)
+    assert rig.graph.change_state("controller", "activate")
+    rising = rig.hold(1.0, STEPS + 20)
+    assert 400.0 < falling[-1] < 600.0
+    assert np.abs(np.diff([*found[-1:], *falling, *rising])).max() < 1.01 * STEEPEST * 1000.0
+    np.testing.assert_allclose(rising[-10:], 1000.0)
+
+
+def test_another_controller_takes_over_without_a_jump(rig: Rig, files: dict[str, Path]):
+    before = rig.hold(1.0, STEPS + 20)[-1]
+    answer = set_next(rig.graph, files["two"])
+    assert answer.successful, answer.reason
+    found = rig.hold(1.0, 1000 + STEPS + 20)
+    np.testing.assert_allclose(found[:1000], before, rtol=1e-6, err_msg="two seconds beside the one in use")
+    assert np.abs(np.diff(found)).max() < 1.01 * STEEPEST * 3000.0
+    np.testing.assert_allclose(found[-10:], -2000.0)
+    values = rig.graph.values
+    rig.graph.until(lambda: values("controller").get("controller_state") == "in use", "the change in the diagnostics")
+    assert values("controller")["controller"] == "two"
+
+
+def test_a_controller_that_cannot_follow_is_refused_and_the_one_in_use_goes_on(rig: Rig, files: dict[str, Path]):
+    assert "one is waiting for samples" in set_next(rig.graph, files["two"]).reason
+    rig.hold(1.0, STEPS + 20)
+    for path, said in (
+        (files["other"], "other measures a9"),
+        (files["one"].with_name("absent.yaml"), "No such file"),
+        ("", "expected a controller file"),
+    ):
+        answer = set_next(rig.graph, path)
+        assert not answer.successful
+        assert said in answer.reason
+    assert rig.send(1.0) == pytest.approx(1000.0)
+    rig.graph.until_well("controller")
+
+
+def test_a_few_lost_samples_are_bridged_and_more_are_a_fault_that_a_person_clears(rig: Rig):
+    rig.hold(1.0, STEPS + 20)
+    assert rig.send(1.0, lost=5) == pytest.approx(1000.0)
+    values = rig.graph.values
+    rig.graph.until(lambda: values("controller").get("lost") == "5", "5 lost samples in the diagnostics")
+    assert {"answer_median_us", "answer_99_percent_us", "answer_worst_us", "late"} <= set(values("controller"))
+    assert float(values("controller")["innovation_rms a1"]) == pytest.approx(1.0)
+    falling = [rig.send(1.0, lost=6), *rig.hold(1.0, STEPS + 5)]
+    rig.graph.until_fault("controller", "6 samples lost before sample")
+    assert np.abs(np.diff([1000.0, *falling])).max() < 1.01 * STEEPEST * 1000.0
+    assert falling[-1] == 0.0
+    assert rig.graph.clear_fault("controller").success
+    rising = rig.hold(1.0, STEPS + 20)
+    assert np.abs(np.diff([0.0, *rising])).max() < 1.01 * STEEPEST * 1000.0, "it begins anew, from zero"
+    np.testing.assert_allclose(rising[-10:], 1000.0)
+
+
+def test_saturations_are_counted_and_a_rig_that_begins_anew_is_answered_from_zero(rig: Rig):
+    rig.hold(30.0, STEPS + 20)
+    values = rig.graph.values
+    rig.graph.until(lambda: int(values("controller").get("saturations", 0)) > 10, "saturations in the diagnostics")
+    assert rig.send(30.0) == LIMIT[0]
+    rig.sequence = -1
+    assert abs(rig.send(30.0)) < 100.0
+
+
+def test_a_file_that_cannot_be_run_ends_the_node_with_one_line(graph: Any, files: dict[str, Path]):
+    text = files["one"].read_text()
+    assert "a_d: [\n      0.5" in text
+    files["one"].write_text(text.replace("a_d: [\n      0.5", "a_d: [\n      1.5"))
+    graph.start("controller", "--params-file", files["one"])
+    assert graph.ended("controller") == 2
+    (line,) = graph.said("controller")
+    assert "not stable (spectral radius of a_d 1.5), expected less than 1" in line
