@@ -20,6 +20,7 @@ setup(
         "console_scripts": [
             "design = abrace_lqg.nodes.design:main",
             "controller = abrace_lqg.nodes.controller:main",
+            "explore = abrace_lqg.nodes.explore:main",
         ]
     },
 )

@@ -1,0 +1,134 @@
+"""The node `explore`: many sets of weights tried on an ensemble of records, and any of them as a controller."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from abrace_core.bag import read_run
+from abrace_core.drawing import save_figure
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import load_model
+from abrace_core.node import AbraceNode, Parameter, find_file, run
+from abrace_core.progress import Progress
+from abrace_lqg.ensemble import Record, noise_motion, recorded_motion
+from abrace_lqg.exploration import Study, explore, weight_sets
+from abrace_lqg.exploration_cluster import cluster
+from abrace_lqg.exploration_figure import trade_off
+from abrace_lqg.exploration_files import save_exploration, write_set
+from abrace_lqg.exploration_report import report
+from abrace_lqg.weights import load_weights
+
+SPANS = ("displacement", "stroke", "acceleration", "force", "noise_to_excitation")
+FACTORS = "lowest and highest power of ten that this weight is multiplied by"
+
+PARAMETERS = [
+    Parameter("model", "", "model file (JSON) to design with"),
+    Parameter("simulation_model", "", "model file (JSON) to simulate and to take margins with"),
+    Parameter("weights", "lqg3", "weights around which to look: a name in the package's configuration or a file"),
+    Parameter("measured", [], "names of the measured quantities; []: as in the weights", element=str),
+    Parameter("displacement", [-2.0, 1.0], FACTORS, minimum=-12.0, maximum=12.0),
+    Parameter("stroke", [0.0, 0.0], FACTORS, minimum=-12.0, maximum=12.0),
+    Parameter("acceleration", [-2.0, 1.0], FACTORS, minimum=-12.0, maximum=12.0),
+    Parameter("force", [0.0, 0.0], FACTORS, minimum=-12.0, maximum=12.0),
+    Parameter("noise_to_excitation", [-1.0, 1.0], FACTORS, minimum=-12.0, maximum=12.0),
+    Parameter("sets", 256, "how many sets are tried beside the given weights", minimum=1),
+    Parameter("seed", 0, "of the quasi-random sets", minimum=0),
+    Parameter("bags", [], "bags of tests whose ground motion is played", element=str),
+    Parameter("noise", [], "seeds of banded noise that is played, a record for each", element=int, minimum=0),
+    Parameter("noise_band", [0.1, 10.0], "Hz, lowest and highest frequency of the noise", minimum=0.0),
+    Parameter("noise_duration", 100.0, "s, of each noise", minimum=2.0),
+    Parameter("peak_acceleration", 0.980665, "m/s^2, that each record is scaled to", minimum=1e-6),
+    Parameter("sample_period", 0.002, "s, of the controllers", minimum=1e-6),
+    Parameter("force_limit", [24516.625], "N, of one brace of each group", minimum=1.0),
+    Parameter("scheduler", "", "address of a Dask scheduler; empty: a cluster of this machine's cores"),
+    Parameter("output", "", "folder for the results", required=True),
+    Parameter(
+        "pick",
+        [],
+        "numbers of sets of an exploration in `output` to write as weights and controller; nothing is explored",
+        element=int,
+        minimum=0,
+    ),
+]
+
+
+class Explore(AbraceNode):
+    """Tries many sets of weights, or writes some of them as controllers, and ends."""
+
+    def __init__(self) -> None:
+        super().__init__("explore", PARAMETERS)
+
+    def work(self) -> None:
+        """Explore, or pick."""
+        if not self.parameters.pick:
+            self.explore()
+            return
+        for number in self.parameters.pick:
+            proof, files = write_set(self.parameters.output, number)
+            print(f"set {number}: {proof.summary()}")
+            print(f"wrote {', '.join(map(str, files))}")
+
+    def explore(self) -> None:
+        """Read, try all sets, write, draw."""
+        given = self.parameters
+        for name in ("model", "simulation_model"):
+            if not getattr(given, name):
+                raise AbraceError(f"parameter {name}: '', expected a model file")
+        weights_file = find_file(given.weights, "abrace_lqg", "config", ".yaml", "weights")
+        weights = load_weights(weights_file)
+        if given.measured:
+            weights = weights.model_copy(update={"measured": given.measured})
+        spans = {name: _pair(name, getattr(given, name)) for name in SPANS}
+        sets = weight_sets(weights, spans, given.sets, given.seed)
+        model, simulation_model = load_model(given.model), load_model(given.simulation_model)
+        records = [record.scaled(given.peak_acceleration) for record in self.records()]
+        study = Study.of(model, simulation_model, records, np.array(given.force_limit), given.sample_period)
+        print(
+            f"{len(sets)} sets of weights, {len(records)} records: {len(sets) * len(records)} closed loops", flush=True
+        )
+        begin = time.monotonic()
+        with cluster(given.scheduler) as client, Progress(1, sys.stdout).step("exploration") as shown:
+            outcomes = explore(
+                study, sets, client, lambda done: shown.update(done / len(sets), f"{done} of {len(sets)} sets")
+            )
+        output = Path(given.output)
+        made_from = {
+            "model": given.model,
+            "simulation_model": given.simulation_model,
+            "weights": str(weights_file),
+            "spans": spans,
+            "seed": given.seed,
+            "peak_acceleration": given.peak_acceleration,
+        }
+        save_exploration(output, study, outcomes, simulation_model, made_from)
+        print("\n".join(report(outcomes)))
+        if any(not outcome.refused for outcome in outcomes):
+            save_figure(trade_off(outcomes), output / "trade_off.png")
+        print(f"wrote {output} ({time.monotonic() - begin:.1f} s)")
+
+    def records(self) -> list[Record]:
+        """The ensemble, as it was recorded."""
+        given = self.parameters
+        band = _pair("noise_band", given.noise_band)
+        found = []
+        for bag in given.bags:
+            recorded = read_run(bag)
+            for warning in recorded.facts.get("warnings", []):
+                print(warning, file=sys.stderr, flush=True)
+            found.append(recorded_motion(recorded, given.sample_period))
+        return found + [noise_motion(seed, given.noise_duration, band, given.sample_period) for seed in given.noise]
+
+
+def _pair(name: str, value: list[float]) -> tuple[float, float]:
+    if len(value) != 2:
+        raise AbraceError(f"parameter {name}: {value}, expected two numbers")
+    return value[0], value[1]
+
+
+def main() -> int:
+    """Entry point."""
+    return run(Explore)

@@ -1,0 +1,251 @@
+"""Exploration: sets of weights, what becomes of each, the cluster, the files, the figure."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import multiprocessing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from abrace_core.controller_file import load_controller
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import LinearModel
+from abrace_core.response import PeakRms
+from abrace_core.run import Run
+from abrace_core.simulation import simulate_closed_loop
+from abrace_lqg import exploration_cluster
+from abrace_lqg.design import design
+from abrace_lqg.ensemble import Record, noise_motion, recorded_motion
+from abrace_lqg.exploration import Outcome, Study, evaluate, explore, weight_sets
+from abrace_lqg.exploration_cluster import cluster
+from abrace_lqg.exploration_figure import trade_off
+from abrace_lqg.exploration_files import load_set, save_exploration, save_weights, write_set
+from abrace_lqg.exploration_report import pareto_front, report
+from abrace_lqg.margins import Margins
+from abrace_lqg.weights import KindWeights, Weights, load_weights
+
+PERIOD = 0.01
+MASS, CAPACITY = 1000.0, np.array([2000.0])
+SPANS = {"displacement": (-2.0, 1.0), "noise_to_excitation": (-1.0, 1.0)}
+
+
+def storey(sign: float = 1.0) -> LinearModel:
+    """One storey of 1 t, 8 rad/s, 1 %, the command an ideal force; `sign` -1: the brace mounted the wrong way."""
+    a = np.array([[0.0, 1.0], [-64.0, -0.16]])
+    b = np.array([[0.0, 0.0], [-1.0, sign / MASS]])
+    c = np.array([[1.0, 0.0], [-64.0, -0.16], [0.0, 0.0]])
+    d = np.array([[0.0, 0.0], [0.0, sign / MASS], [0.0, 1.0]])
+    return LinearModel(a, b, c, d, ("w", "U"), ("x1", "a1", "f"))
+
+
+def given(displacement: float = 1e11) -> Weights:
+    kinds = KindWeights(displacement=displacement, stroke=0.0, acceleration=0.0, force=0.0, command=1.0)
+    return Weights(measured=["a1"], weights=kinds, noise_to_excitation=0.1)
+
+
+def records() -> list[Record]:
+    return [noise_motion(seed, 20.0, (0.2, 8.0), PERIOD).scaled(1.0) for seed in (1, 2)]
+
+
+def study(simulation_model: LinearModel | None = None, capacity: np.ndarray = CAPACITY) -> Study:
+    return Study.of(storey(), simulation_model or storey(), records(), capacity, PERIOD)
+
+
+@pytest.fixture(scope="module")
+def outcomes() -> list[Outcome]:
+    """Of 24 sets, one of them refused."""
+    found = [evaluate(study(), number, each) for number, each in enumerate(weight_sets(given(), SPANS, 23, 0))]
+    return [*found, evaluate(study(storey(-1.0)), 24, given())]
+
+
+def test_sets_lie_in_their_spans_and_the_given_one_comes_first():
+    sets = weight_sets(given(), SPANS, 100, 3)
+    assert len(sets) == 101
+    assert sets[0] == given()
+    for name, values in (
+        ("displacement", [each.weights.displacement / 1e11 for each in sets[1:]]),
+        ("noise_to_excitation", [each.noise_to_excitation / 0.1 for each in sets[1:]]),
+    ):
+        low, high = SPANS[name]
+        powers = np.log10(values)
+        assert low <= powers.min() < low + 0.1 * (high - low), name
+        assert high >= powers.max() > high - 0.1 * (high - low), name
+        counts = np.histogram(powers, 4, (low, high))[0]
+        assert counts.min() >= 23, f"{name}: expected about 25 of 100 in each quarter, found {counts}"
+    assert {(each.weights.command, each.weights.stroke, *each.measured) for each in sets} == {(1.0, 0.0, "a1")}
+
+
+def test_the_first_sets_are_the_same_however_many_there_are_and_others_with_another_seed():
+    many = weight_sets(given(), SPANS, 40, 7)
+    assert weight_sets(given(), SPANS, 5, 7) == many[:6]
+    assert weight_sets(given(), SPANS, 1, 7) == many[:2]
+    assert weight_sets(given(), SPANS, 40, 8)[1:] != many[1:]
+
+
+@pytest.mark.parametrize(
+    ("spans", "expected"),
+    [
+        ({"stroke": (-1.0, 1.0)}, "span of stroke: the weight is given as 0"),
+        ({"displacement": (1.0, -1.0)}, "lower power of ten first"),
+        ({"displacement": (0.0, 0.0)}, "all are from 0 to 0"),
+    ],
+)
+def test_spans_that_say_nothing_are_refused(spans, expected):
+    with pytest.raises(AbraceError, match=expected):
+        weight_sets(given(), spans, 4, 0)
+
+
+def test_an_outcome_is_what_the_simulated_loop_does():
+    tried = study(capacity=np.array([300.0]))
+    outcome = evaluate(tried, 5, given())
+    designed = design(storey(), given(), PERIOD)
+    saturated = 0
+    for record, found, free in zip(tried.records, outcome.records, tried.zero_command, strict=True):
+        z, u = simulate_closed_loop(
+            tried.plant, designed.controller, record.ground_acceleration, np.array([300.0]), designed.correction
+        )
+        assert found["x1"] == pytest.approx((np.abs(z[:, 0]).max(), np.sqrt(np.mean(z[:, 0] ** 2))), rel=1e-9)
+        assert found["U"] == pytest.approx((300.0, np.sqrt(np.mean(u**2))), rel=1e-9)
+        assert found["x1"].rms < 0.7 * free["x1"].rms, "the controller should have reduced the drift"
+        saturated += np.count_nonzero(np.abs(u) >= 300.0)
+    assert outcome.saturated == saturated > 0
+    ratios = [row["x1"].rms / free["x1"].rms for row, free in zip(outcome.records, tried.zero_command, strict=True)]
+    assert outcome.relative["x1"].rms == pytest.approx(np.mean(ratios), rel=1e-12)
+    assert outcome.command.peak == 300.0
+    assert "f" not in outcome.relative, "an ideal force is zero with a zero command: no ratio"
+
+
+def test_a_controller_that_does_next_to_nothing_leaves_the_response_as_it_is():
+    outcome = evaluate(study(), 0, given(displacement=1e2))
+    assert outcome.response("displacement") == pytest.approx(1.0, abs=1e-3)
+    assert outcome.response("acceleration") == pytest.approx(1.0, abs=1e-3)
+    assert outcome.saturated == 0
+
+
+def test_a_loop_that_is_unstable_with_the_simulation_model_is_kept_with_its_reason():
+    outcome = evaluate(study(storey(-1.0)), 3, given())
+    assert "not stable" in outcome.refused
+    assert outcome.command is None
+    assert any("1 of 2 sets gave no controller" in line for line in report([evaluate(study(), 0, given()), outcome]))
+
+
+def test_outcomes_do_not_depend_on_the_cluster_and_no_process_is_left():
+    sets = weight_sets(given(), SPANS, 10, 0)
+    here = [evaluate(study(), number, weights) for number, weights in enumerate(sets)]
+    seen: list[int] = []
+    with cluster(workers=2) as client:
+        assert len(client.ncores()) == 2
+        with cluster(client.scheduler.address) as guest:  # one that runs already
+            as_guest = explore(study(), sets[:3], guest)
+        there = explore(study(), sets, client, seen.append)
+        with pytest.raises(AbraceError, match="measured quantities a7"):
+            explore(study(), [sets[0].model_copy(update={"measured": ["a7"]})], client)
+    assert [outcome.number for outcome in there] == list(range(11))
+    assert there == here
+    assert as_guest == here[:3]
+    assert seen == sorted(seen)
+    assert seen[-1] == 11
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x", "nothing"])
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch, address):
+    monkeypatch.setattr(exploration_cluster, "PATIENCE", 0.3)
+    with pytest.raises(AbraceError, match=f"Dask scheduler {address}: does not answer"), cluster(address):
+        pass
+
+
+def test_the_front_holds_the_points_that_no_other_beats_in_both():
+    force, response = np.random.default_rng(1).uniform(size=(2, 300))
+    beaten = ((force[:, None] >= force) & (response[:, None] >= response)).sum(axis=1) > 1
+    front = pareto_front(force, response)
+    assert set(front) == set(np.flatnonzero(~beaten))
+    assert np.all(np.diff(force[front]) > 0)
+
+
+def test_a_recorded_test_is_scaled_to_the_peak_and_has_to_be_sampled_as_the_controller():
+    ground = np.array([0.0, 0.5, -2.0, 1.0])
+    run = Run("bags/quake", PERIOD, np.arange(4, dtype=np.uint64), 1, 1, np.zeros((4, 4)), ground, np.zeros((4, 1)))
+    assert recorded_motion(run, PERIOD).scaled(0.5).ground_acceleration == pytest.approx(ground / 4)
+    with pytest.raises(AbraceError, match=r"bags/quake: sampled every 0\.01 s, expected the controller's 0\.002 s"):
+        recorded_motion(run, 0.002)
+    with pytest.raises(AbraceError, match="does not move"):
+        recorded_motion(replace(run, ground_acceleration=0 * ground), PERIOD).scaled(0.5)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"records": []}, "no records"),
+        ({"capacity": np.array([1.0, 2.0])}, "2 force limits"),
+        ({"simulation_model": storey().select(("x1", "f"))}, "expected those of the design model"),
+    ],
+)
+def test_a_study_whose_parts_do_not_fit_is_refused(change, expected):
+    parts = {"model": storey(), "simulation_model": storey(), "records": records(), "capacity": CAPACITY} | change
+    with pytest.raises(AbraceError, match=expected):
+        Study.of(**parts, sample_period=PERIOD)
+
+
+def test_a_set_is_written_as_weights_and_as_the_controller_that_was_tried(outcomes, tmp_path):
+    save_exploration(tmp_path, study(), outcomes, storey(), {"seed": 0})
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "exploration.csv").read_text())))
+    assert [int(row["set"]) for row in rows] == list(range(25))
+    assert float(rows[3]["x1_rms"]) == outcomes[3].relative["x1"].rms
+    assert float(rows[3]["delay_margin_ms"]) == 1e3 * outcomes[3].margins.delay
+    assert "not stable" in rows[24]["refused"]
+    assert rows[24]["x1_rms"] == ""
+
+    _, files = write_set(tmp_path, 7)
+    assert load_weights(tmp_path / "set_7_weights.yaml") == outcomes[7].weights
+    controller = load_controller(tmp_path / "set_7.yaml")
+    again = design(storey(), outcomes[7].weights, PERIOD)
+    assert controller.law.a == pytest.approx(again.controller.a, rel=1e-12, abs=1e-15)
+    assert controller.force_limit.tolist() == CAPACITY.tolist()
+    assert all(path.is_file() for path in files)
+    with pytest.raises(AbraceError, match="set 24 gives no controller"):
+        load_set(tmp_path, 24)
+    with pytest.raises(AbraceError, match="no set 25, expected 0 to 24"):
+        load_set(tmp_path, 25)
+    with pytest.raises(AbraceError, match="expected the folder of an exploration"):
+        load_set(tmp_path / "nowhere", 0)
+
+
+def test_a_margin_without_end_is_null_in_the_file(outcomes, tmp_path):
+    endless = replace(outcomes[0], margins=Margins(np.inf, 90.0, np.inf, 1.0))
+    save_exploration(tmp_path, study(), [endless], storey(), {})
+    (found,) = json.loads((tmp_path / "exploration.json").read_text())["sets"]
+    assert found["margins"] == {"gain": None, "phase": 90.0, "delay": None, "sensitivity_peak": 1.0}
+    assert found["relative"]["x1"] == outcomes[0].relative["x1"]._asdict()
+
+
+def test_weights_of_any_size_read_back_as_they_were(tmp_path):
+    weights = given(displacement=1e22).model_copy(update={"noise_to_excitation": 3e-9})
+    save_weights(weights, tmp_path / "w.yaml", "here")
+    assert load_weights(tmp_path / "w.yaml") == weights
+
+
+def test_the_figure_marks_the_given_weights_and_the_picked_set(outcomes):
+    figure = trade_off(outcomes, [5])
+    axis = figure.axes[0]
+    star, square = (next(line for line in axis.lines if line.get_marker() == marker) for marker in "*s")
+    for line, outcome in ((star, outcomes[0]), (square, outcomes[5])):
+        expected = (outcome.command.rms / 1e3, 100 * outcome.relative["x1"].rms)
+        assert (line.get_xdata()[0], line.get_ydata()[0]) == pytest.approx(expected)
+    points = sum(not outcome.refused for outcome in outcomes)
+    assert len(axis.collections[0].get_offsets()) == points > 10, "a point for each set that gave a controller"
+    with pytest.raises(AbraceError, match="no set of weights gave a controller"):
+        trade_off([outcomes[-1]])
+
+
+def test_the_report_lists_the_front_from_least_to_most_force(outcomes):
+    rows = [line.split() for line in report(outcomes)[2:] if line[2:5].strip().isdigit() and "(" not in line]
+    forces, responses = [float(row[1]) for row in rows], [float(row[5]) for row in rows]
+    assert len(rows) > 2
+    assert forces == sorted(forces)
+    assert responses == sorted(responses, reverse=True)
+    assert PeakRms(*(round(value) for value in outcomes[int(rows[0][0])].command)).rms == forces[0]

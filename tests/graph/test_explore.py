@@ -1,0 +1,113 @@
+"""The node `explore` as a process: from models to a trade-off, a controller of it, and an end that leaves nothing."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from abrace_bringup.processes import find_executable
+from abrace_core.controller_file import load_controller
+from abrace_core.linear_model import save_model
+from abrace_core.node import find_file
+from abrace_plant.rig_file import load_rig
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory) -> Path:
+    """The rig's own model."""
+    rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
+    path = tmp_path_factory.mktemp("model") / "rig.json"
+    save_model(rig.model, path)
+    return path
+
+
+def command(**parameters: object) -> list[str]:
+    given = [text for name, value in parameters.items() for text in ("-p", f"{name}:={value}")]
+    return [str(find_executable("abrace_lqg", "explore")), "--ros-args", *given]
+
+
+def run_node(**parameters: object) -> subprocess.CompletedProcess:
+    return subprocess.run(command(**parameters), capture_output=True, text=True, timeout=120, check=False)
+
+
+def members(session: int) -> list[str]:
+    """The running processes of a session."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, _, of_session = status.read_text().rpartition(")")[2].split()[:4]
+        except OSError:  # it ended meanwhile
+            continue
+        if int(of_session) == session and state != "Z":
+            found.append(status.parent.name)
+    return found
+
+
+def test_sets_are_tried_drawn_and_picked(model, tmp_path):
+    ended = run_node(
+        model=model, simulation_model=model, sets=7, noise="[1, 2]", noise_duration=10.0, output=tmp_path / "found"
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stderr == ""
+    assert "8 sets of weights, 2 records: 16 closed loops" in ended.stdout
+    assert re.search(r"exploration: done in \d:\d\d, 8 of 8 sets", ended.stdout)
+    content = json.loads((tmp_path / "found/exploration.json").read_text())
+    assert [each["number"] for each in content["sets"]] == list(range(8))
+    assert content["sets"][0]["relative"]["x3"]["rms"] < 0.8
+    assert (tmp_path / "found/trade_off.png").stat().st_size > 10_000
+    assert len((tmp_path / "found/exploration.csv").read_text().splitlines()) == 9
+
+    ended = run_node(output=tmp_path / "found", pick=3)
+    assert ended.returncode == 0, ended.stderr
+    assert load_controller(tmp_path / "found/set_3.yaml").law.inputs == ("a1", "a2", "a3")
+
+
+def test_ctrl_c_ends_the_node_and_its_processes_without_a_word(model, tmp_path):
+    output = tmp_path / "found"
+    exploring = command(model=model, simulation_model=model, sets=4000, noise=1, noise_duration=10.0, output=output)
+    with subprocess.Popen(
+        exploring, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as node:
+        assert node.stdout is not None
+        assert "4001 sets" in node.stdout.readline()
+        while len(members(node.pid)) < 3:  # the node, the tracker of multiprocessing, a process of Dask
+            assert node.poll() is None
+        os.killpg(node.pid, signal.SIGINT)  # as a terminal does: the processes get it too
+        _, errors = node.communicate(timeout=60)
+    assert node.returncode == 0, errors
+    assert errors == ""
+    deadline = time.monotonic() + 30.0
+    while left := members(node.pid):  # the tracker ends when it finds the node gone
+        assert time.monotonic() < deadline, f"processes {left} are left"
+    assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({"output": "o"}, "parameter model: ''"),
+        ({"output": "o", "pick": 1}, "o/exploration.json: No such file"),
+        (
+            {"output": "o", "noise": 1, "scheduler": "tcp://127.0.0.1:1"},
+            "Dask scheduler tcp://127.0.0.1:1: does not answer",
+        ),
+        ({"output": "o", "sets": 2}, "no records"),
+        ({"output": "o", "stroke": "[-1.0, 1.0]"}, "span of stroke"),
+        ({"output": "o", "force": "[-1.0]"}, "parameter force: [-1.0], expected two numbers"),
+        ({"output": "o", "bags": "no_bag"}, "no_bag: no such bag"),
+        ({"output": "o", "noise": 1, "measured": "a9"}, "measured quantities a9"),
+    ],
+)
+def test_wrong_input_gives_one_line_exit_code_2_and_writes_nothing(model, tmp_path, monkeypatch, parameters, expected):
+    monkeypatch.chdir(tmp_path)
+    models = {} if len(parameters) == 1 or "pick" in parameters else {"model": model, "simulation_model": model}
+    ended = run_node(**models, **parameters)
+    assert ended.returncode == 2
+    assert expected in ended.stderr
+    assert len(ended.stderr.splitlines()) == 1, ended.stderr
+    assert not list(tmp_path.iterdir())
