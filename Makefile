@@ -45,7 +45,7 @@ test: lint  ## lint and all tests
 
 verify: setup  ## accuracy claims, measured: results/verify.json
 	@$(ENVIRONMENT)
-	python benchmarks/verify.py
+	python benchmarks/verify.py $(if $(RECORD),--record $(RECORD))
 
 bench: setup  ## speed claims beside their peers: results/bench.json
 	@$(ENVIRONMENT)

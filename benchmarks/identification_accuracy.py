@@ -19,7 +19,7 @@ from laboratory import Laboratory
 from n4sid import n4sid_poles
 from simulation import ONE_THREAD
 
-from abrace_bringup.progress import Progress
+from abrace_core.progress import Progress
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
 from abrace_core.node import find_file

@@ -39,6 +39,7 @@ NODES = {
         "design": "Offline: a model and weights to a controller file.",
         "controller": "Takes `response`, `emergency_stop`; publishes `brace_command`. Service `~/clear_fault`. Its "
         "parameters are a controller file that `design` wrote.",
+        "explore": "Offline: many weight sets tried on an ensemble of records; any of them becomes a controller.",
     },
 }
 

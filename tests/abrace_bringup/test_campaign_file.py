@@ -17,6 +17,7 @@ from abrace_bringup.campaign_file import (
     WhiteNoise,
     load_campaign,
 )
+from abrace_bringup.cli import main
 from abrace_core.errors import AbraceError
 
 DEMO = Path(__file__).parents[2] / "src" / "abrace_bringup" / "campaigns" / "demo.yaml"
@@ -38,6 +39,24 @@ def test_the_demo_campaign_is_the_paper_from_end_to_end():
         "comparison": Validate(test="controlled", uncontrolled="uncontrolled", model="model", controller="lqg3"),
     }
     assert [step.name for step in campaign.steps][:3] == ["table_noise", "command_noise", "model"]
+
+
+def test_the_campaign_of_five_controllers_tries_each_under_both_motions():
+    tasks = {step.name: step.task for step in load_campaign(DEMO.with_name("five_controllers.yaml")).steps}
+    for motion in ("el_centro", "noise"):
+        for name in ("lqg1", "lqg2", "lqg3", "lqg4", "lqg5"):
+            assert tasks[name] == Design(model="model", weights=name)
+            test = tasks[f"{motion}_{name}"]
+            assert (test.controller, test.ground_motion) == (name, tasks[motion].ground_motion)
+            assert tasks[f"{motion}_{name}_check"] == Validate(
+                test=f"{motion}_{name}", uncontrolled=motion, model="model", controller=name
+            )
+
+
+def test_a_campaign_that_nobody_has_is_named_with_those_that_there_are(capsys):
+    assert main(["campaign", "six_controllers"]) == 2
+    assert "campaign 'six_controllers': unknown, expected" in (said := capsys.readouterr().err)
+    assert "demo, five_controllers" in said
 
 
 def test_a_test_may_run_a_controller_file_that_no_step_designed(tmp_path):

@@ -33,7 +33,7 @@ def example():
             test: {"identified": as_poles(poles, 1.001, 0.95), "true": as_poles(poles)}
             for test, poles in PAPER_POLES.items()
         },
-        "comparison.json": {
+        "check/comparison.json": {
             "test": {"record": "el_centro", "peak_acceleration": 0.980665, "controller": "lqg3"},
             "measured": as_rows(TABLE_1_EXPERIMENT, 1.1),
             "simulated": as_rows(TABLE_1_SIMULATION),
@@ -48,6 +48,7 @@ def example():
             "steps": [
                 {"name": "table_noise", "wall_seconds": 42.0, "samples": 120000, "run_seconds": 40.0},
                 {"name": "model", "wall_seconds": 7.5},
+                {"name": "check", "wall_seconds": 0.0},
                 {"name": "controlled", "wall_seconds": 12.0, "samples": 50000, "run_seconds": 10.0},
             ],
         },
@@ -56,6 +57,7 @@ def example():
 
 def write(directory, results):
     for name, content in results.items():
+        (directory / name).parent.mkdir(exist_ok=True)
         (directory / name).write_text(content if isinstance(content, str) else json.dumps(content))
 
 
@@ -83,7 +85,7 @@ def test_summary_holds_poles_identified_and_true_with_their_largest_errors(tmp_p
 def test_summary_holds_table_1_and_its_error_against_the_papers_experiment(tmp_path):
     results = example()
     _, summary = reported(tmp_path, results)
-    comparison = results["comparison.json"]
+    comparison = results["check/comparison.json"]
     assert list(summary["table1"]["measured"]) == ["x1", "x2", "x3", "xf", "a1", "a2", "a3", "f", "U"]
     assert summary["table1"]["measured"] == comparison["measured"]
     assert summary["table1"]["simulated"] == comparison["simulated"]
@@ -101,7 +103,7 @@ def test_summary_holds_table_1_and_its_error_against_the_papers_experiment(tmp_p
 def test_summary_holds_wall_seconds_and_samples_per_second(tmp_path):
     _, summary = reported(tmp_path, example())
     timing = summary["timing"]
-    assert timing["wall_seconds"] == {"table_noise": 42.0, "model": 7.5, "controlled": 12.0}
+    assert timing["wall_seconds"] == {"table_noise": 42.0, "model": 7.5, "check": 0.0, "controlled": 12.0}
     assert timing["total_wall_seconds"] == 61.5
     assert timing["samples_per_second_of_test"] == {"table_noise": 3000.0, "controlled": 5000.0}
     assert timing["samples_per_second"] == 3400.0, "170000 samples in 50 s"
@@ -139,7 +141,7 @@ def test_tables_set_the_results_beside_the_papers(tmp_path):
 @pytest.mark.parametrize(("key", "value"), [("record", "kobe"), ("peak_acceleration", 1.96), ("controller", "lqg1")])
 def test_another_test_is_not_set_beside_table_1(tmp_path, key, value):
     results = example()
-    results["comparison.json"]["test"][key] = value
+    results["check/comparison.json"]["test"][key] = value
     text, summary = reported(tmp_path, results)
     assert "paper exp." not in text
     assert summary["table1"]["error_vs_paper_experiment"] is None
@@ -161,9 +163,9 @@ def test_a_rig_whose_own_poles_nobody_knows_and_of_another_size_is_reported(tmp_
     for poles in results["poles.json"].values():
         poles["true"] = []
     for table in ("measured", "simulated", "uncontrolled"):
-        rows = results["comparison.json"][table]
-        results["comparison.json"][table] = {"x1": rows["x1"], "x5": rows["x3"], "U": rows["U"]}
-    results["comparison.json"] |= {"simulated_vs_measured": {}, "other_models": {}}
+        rows = results["check/comparison.json"][table]
+        results["check/comparison.json"][table] = {"x1": rows["x1"], "x5": rows["x3"], "U": rows["U"]}
+    results["check/comparison.json"] |= {"simulated_vs_measured": {}, "other_models": {}}
     text, summary = reported(tmp_path, results)
     assert row(text, "Poles from the table test", "1")[1:5] == ["7.283", "-", "7.276", "-"]
     assert list(summary["table1"]["measured"]) == ["x1", "x5", "U"]
@@ -186,14 +188,43 @@ def test_markdown_holds_the_tables_and_links_the_figures(tmp_path):
 
 def test_a_test_without_one_to_set_beside_has_no_reductions(tmp_path):
     results = example()
-    results["comparison.json"]["uncontrolled"] = None
+    results["check/comparison.json"]["uncontrolled"] = None
     text, summary = reported(tmp_path, results)
     assert summary["uncontrolled"] is None
     assert "Without and with" not in text
     assert "Table 1" in text
 
 
-@pytest.mark.parametrize("name", ["poles.json", "comparison.json", "timing.json"])
+def with_two_controllers():
+    """LQG3 and a weaker controller under the same motion."""
+    results = example()
+    weaker = json.loads(json.dumps(results["check/comparison.json"]))
+    weaker["test"]["controller"] = "lqg1"
+    weaker["measured"] = as_rows(TABLE_1_EXPERIMENT, 2.2)
+    weaker["simulated"] = as_rows(TABLE_1_EXPERIMENT, 2.31)
+    weaker["simulated_vs_measured"]["a1"]["correlation"] = 0.98
+    first = {"name": "first", "wall_seconds": 1.0}
+    results["timing.json"]["steps"] = [first, *results["timing.json"]["steps"]]
+    return {**results, "first/comparison.json": weaker}
+
+
+def test_several_controllers_are_set_beside_each_other(tmp_path):
+    text, summary = reported(tmp_path, with_two_controllers())
+    assert list(summary["comparisons"]) == ["first", "check"]
+    assert summary["test"]["controller"] == "lqg3", "the paper's test is the main one"
+    title = "All controllers, el_centro at 0.1 g: "
+    assert row(text, title + "peak", "x1 [cm]") == ["x1 [cm]", "4.858", "2.429", "1.214"]
+    assert row(text, title + "reduction of peak", "a3") == ["a3", "50.0", "75.0"]
+    assert row(text, "Simulated against measured, every test", "first")[:5] == [
+        "first",
+        "0.9800",
+        "3.01",
+        "1.20",
+        "5.00",
+    ]
+
+
+@pytest.mark.parametrize("name", ["poles.json", "check/comparison.json", "timing.json"])
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -207,7 +238,7 @@ def test_a_malformed_file_is_named_and_nothing_is_written(tmp_path, name, conten
     (tmp_path / name).write_text(content)
     with pytest.raises(AbraceError, match=f"results file {re.escape(str(tmp_path / name))}: .*{message}"):
         make_report(tmp_path)
-    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".json"] * 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["check", "poles.json", "timing.json"]
 
 
 def test_a_folder_without_timing_is_no_campaigns(tmp_path):
@@ -217,7 +248,7 @@ def test_a_folder_without_timing_is_no_campaigns(tmp_path):
         make_report(tmp_path)
 
 
-@pytest.mark.parametrize(("name", "key"), [("poles.json", "poles"), ("comparison.json", "table1")])
+@pytest.mark.parametrize(("name", "key"), [("poles.json", "poles"), ("check/comparison.json", "table1")])
 def test_what_no_step_was_about_is_left_out(tmp_path, name, key):
     write(tmp_path, example())
     (tmp_path / name).unlink()
@@ -234,10 +265,10 @@ def test_wrong_values_are_named_with_their_key(tmp_path):
             make_report(tmp_path)
 
     results = example()
-    results["comparison.json"]["measured"]["x1"]["rms"] = float("nan")
+    results["check/comparison.json"]["measured"]["x1"]["rms"] = float("nan")
     refused(results, r"comparison\.json: measured\.x1\.rms: expected Input should be")
     results = example()
-    del results["comparison.json"]["simulated"]["xf"]
+    del results["check/comparison.json"]["simulated"]["xf"]
     refused(results, r"comparison\.json: rows: expected .*simulated with the rows of measured, x1 x2 x3 xf")
     results = example()
     results["poles.json"]["command"]["identified"] = []

@@ -31,13 +31,13 @@ from abrace_bringup.campaign_file import (
 from abrace_bringup.onlooker import Onlooker
 from abrace_bringup.parameters import parameter_file
 from abrace_bringup.processes import ProcessGroup, find_executable
-from abrace_bringup.progress import Progress
 from abrace_core.controller_file import load_controller
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
-from abrace_core.linear_model import pole_table
+from abrace_core.linear_model import pole_table, save_model
 from abrace_core.node import find_file
+from abrace_core.progress import Progress
 from abrace_plant.published import PAPER_POLES
 from abrace_plant.rig_file import load_rig
 from abrace_sysid import figures
@@ -46,13 +46,15 @@ if TYPE_CHECKING:
     import pydantic
     from numpy.typing import NDArray
 
-    from abrace_bringup.progress import Step as ShownStep
+    from abrace_core.progress import Step as ShownStep
     from abrace_plant.rig import Rig
 
 PATIENCE = 30.0
 """Seconds in which the nodes of a test have to start and find each other."""
 STUCK = 30.0
 """Seconds without a new sample that end a test."""
+CHECKS = ("model.json", "superposed.json")
+"""Identified models with which a controller has to be stable; the rig's own is another."""
 SEED = 7
 """Seed of the first test's sensor noise; each later test takes the next one."""
 PAPER_RIG = "ncree_three_storey"
@@ -209,9 +211,7 @@ class Runner:
                     "design",
                     {
                         "model": str(self.results / model / "reduced.json"),
-                        "check_models": [
-                            str(self.results / model / f"{name}.json") for name in ("model", "superposed")
-                        ],
+                        "check_models": [*(str(self.results / model / name) for name in CHECKS), str(self.rig_model())],
                         "weights": weights,
                         "sample_period": 1 / self.rig.sample_rate,
                         "force_limit": limit,
@@ -231,8 +231,13 @@ class Runner:
                 if controller is not None:
                     parameters["controller"] = str(self.controller_file(controller))
                 self.run_offline(name, "abrace_sysid", "validate", parameters)
-                shutil.copy(output / "comparison.json", self.results / "comparison.json")
         return {}
+
+    def rig_model(self) -> Path:
+        """The rig's own model, which a simulated rig has, as a file beside the identified ones."""
+        path = self.results / "rig.json"
+        save_model(self.rig.model, path)
+        return path
 
     def show_poles(self, step: str) -> None:
         """Set the rig's own poles and the paper's beside the identified ones: poles.json and a chart."""
@@ -272,8 +277,9 @@ class Runner:
             given = getattr(test, key)
             if given is not None:
                 facts[key] = json.dumps(given.model_dump())
-        if isinstance(test.ground_motion, Record):
+        if test.ground_motion is not None:
             facts["record"] = test.ground_motion.record
+        if isinstance(test.ground_motion, Record):
             facts["peak_acceleration"] = repr(test.ground_motion.peak_acceleration)
         return facts
 

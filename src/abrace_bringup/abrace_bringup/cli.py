@@ -28,7 +28,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("executable", help="such as plant")
     run.add_argument("arguments", nargs=argparse.REMAINDER, help="as for ros2 run: --ros-args -p name:=value ...")
     campaign = commands.add_parser("campaign", help="run the steps of a campaign file, then report")
-    campaign.add_argument("file", type=Path, help="YAML")
+    campaign.add_argument("file", help="YAML file, or the name of one of ours: demo, five_controllers")
     report = commands.add_parser("report", help="tables and summary.json from a campaign's results")
     report.add_argument("directory", type=Path, help="such as results/demo")
     commands.add_parser(DEMO, help="the paper's tests, identification, design and comparison on the simulated rig")
@@ -61,6 +61,6 @@ def _carry_out(given: argparse.Namespace) -> int:
     from abrace_bringup.campaign import run_campaign
     from abrace_core.node import find_file
 
-    file = given.file if given.command == "campaign" else find_file(DEMO, "abrace_bringup", "campaigns", ".yaml", DEMO)
-    print(make_report(run_campaign(file)))
+    name = given.file if given.command == "campaign" else DEMO
+    print(make_report(run_campaign(find_file(name, "abrace_bringup", "campaigns", ".yaml", "campaign"))))
     return 0

@@ -50,22 +50,27 @@ def summarise(results: Results) -> dict[str, Any]:
             }
             for test, poles in _by_test(results.poles)
         }
-    if (comparison := results.comparison) is not None:
-        summary |= {
-            "test": comparison.test.model_dump(),
-            "units": {name: paper_unit(name)[1] for name in comparison.measured},
-            "table1": {
-                "measured": _dumped(comparison.measured),
-                "simulated": _dumped(comparison.simulated),
-                "error_vs_paper_experiment": _error_vs_paper(comparison, comparison.measured),
-                "simulated_error_vs_paper_experiment": _error_vs_paper(comparison, comparison.simulated),
-            },
-            "uncontrolled": _dumped(comparison.uncontrolled) if comparison.uncontrolled else None,
-            "simulated_vs_measured": _dumped(comparison.simulated_vs_measured),
-            "peak_rms_error": comparison.peak_rms_error,
-            "other_models": _dumped(comparison.other_models),
-        }
+    if results.main is not None:
+        summary |= _comparison(results.main)
+        summary["comparisons"] = {step: _comparison(one) for step, one in results.comparisons.items()}
     return summary
+
+
+def _comparison(comparison: Comparison) -> dict[str, Any]:
+    return {
+        "test": comparison.test.model_dump(),
+        "units": {name: paper_unit(name)[1] for name in comparison.measured},
+        "table1": {
+            "measured": _dumped(comparison.measured),
+            "simulated": _dumped(comparison.simulated),
+            "error_vs_paper_experiment": _error_vs_paper(comparison, comparison.measured),
+            "simulated_error_vs_paper_experiment": _error_vs_paper(comparison, comparison.simulated),
+        },
+        "uncontrolled": _dumped(comparison.uncontrolled) if comparison.uncontrolled else None,
+        "simulated_vs_measured": _dumped(comparison.simulated_vs_measured),
+        "peak_rms_error": comparison.peak_rms_error,
+        "other_models": _dumped(comparison.other_models),
+    }
 
 
 def _dumped(rows: Mapping[str, Checked]) -> dict[str, Any]:
@@ -113,11 +118,13 @@ def tables(results: Results) -> list[Table]:
     found = []
     if results.poles is not None:
         found += [_pole_table(test, poles) for test, poles in _by_test(results.poles)]
-    if (comparison := results.comparison) is not None:
-        found.append(_table_1(comparison))
-        if comparison.uncontrolled is not None:
-            found.append(_reduction_table(comparison, comparison.uncontrolled))
-        found.append(_agreement_table(comparison))
+    if results.main is not None:
+        found.append(_table_1(results.main))
+        if results.main.uncontrolled is not None:
+            found.append(_reduction_table(results.main, results.main.uncontrolled))
+        found.append(_agreement_table(results.main))
+    if len(results.comparisons) > 1:
+        found += [*_controller_tables(results.comparisons), _all_agreements_table(results.comparisons)]
     return [*found, _timing_table(results.timing)]
 
 
@@ -200,6 +207,73 @@ def _agreement_table(comparison: Comparison) -> Table:
     return Table("Simulated by the identified models against measured", header, tuple(rows), (note,))
 
 
+def _controller_tables(comparisons: Mapping[str, Comparison]) -> list[Table]:
+    """For each motion under which several controllers ran: all of them as measured, and what they take away."""
+    motions: dict[str, list[Comparison]] = {}
+    for comparison in comparisons.values():
+        if comparison.test.controller and comparison.uncontrolled is not None:
+            motions.setdefault(_motion(comparison.test), []).append(comparison)
+    found = []
+    for motion, several in motions.items():
+        if len(several) < 2:
+            continue
+        without, names = several[0].uncontrolled or {}, [one.test.controller for one in several]
+        for key in ("peak", "rms"):
+            measured, reductions = [], []
+            for row, before in without.items():
+                cells = [getattr(one.measured[row], key) for one in several]
+                start = getattr(before, key)
+                measured.append((_quantity(row), _cell(row, start), *(_cell(row, cell) for cell in cells)))
+                less = [_number(100 * (1 - cell / start) if start else None, ".1f") for cell in cells]
+                reductions.append((row, *less))
+            found.append(Table(f"All controllers, {motion}: {key}", ("", "without", *names), tuple(measured)))
+            moved = tuple(row for row in reductions if row[0][0] in "xa")
+            found.append(Table(f"All controllers, {motion}: reduction of {key}, %", ("", *names), moved))
+    return found
+
+
+def _all_agreements_table(comparisons: Mapping[str, Comparison]) -> Table:
+    """Every comparison's worst figures, one row each."""
+    rows = []
+    for step, comparison in comparisons.items():
+        worst = min(row.correlation for row in comparison.simulated_vs_measured.values())
+        error = max(row.noise_free_error for row in comparison.simulated_vs_measured.values())
+        others = (f"{100 * other.peak_rms_error:.2f}" for other in comparison.other_models.values())
+        peaks = worst_peak_rms_error(comparison)
+        rows.append(
+            (step, f"{worst:.4f}", *(f"{100 * x:.2f}" for x in (error, comparison.peak_rms_error, peaks)), *others)
+        )
+    other_models = next(iter(comparisons.values())).other_models
+    return Table(
+        "Simulated against measured, every test",
+        (
+            "",
+            "least correlation",
+            "greatest rms error %",
+            "peaks and rms: mean error %",
+            "greatest %",
+            *(f"mean, {name} %" for name in other_models),
+        ),
+        tuple(rows),
+        ("Rms errors without sensor noise.",),
+    )
+
+
+def worst_peak_rms_error(comparison: Comparison) -> float:
+    """Greatest relative error of a simulated peak or rms value, of the channels that move.
+
+    Parameters
+    ----------
+    comparison
+        Of a validate step.
+    """
+    return max(
+        abs(getattr(comparison.simulated[name], key) / getattr(comparison.measured[name], key) - 1)
+        for name in comparison.simulated_vs_measured
+        for key in ("peak", "rms")
+    )
+
+
 def _timing_table(timing: Timing) -> Table:
     summary = _timing(timing)
     speeds = summary["samples_per_second_of_test"]
@@ -223,8 +297,7 @@ def _timing_table(timing: Timing) -> Table:
 
 
 def _motion(facts: Facts) -> str:
-    peak = f" at {facts.peak_acceleration / 9.80665:.3g} g" if facts.peak_acceleration else " as recorded"
-    return facts.record + peak
+    return facts.record + (f" at {facts.peak_acceleration / 9.80665:.3g} g" if facts.peak_acceleration else "")
 
 
 def _quantity(name: str) -> str:

@@ -1,6 +1,7 @@
 """The files of results that a report is made from; each is a JSON object with these keys and no others.
 
-A campaign always writes timing.json, and the other two where it has such a step.
+A campaign always writes timing.json; poles.json where it has an identify step; and each validate step has a
+comparison.json in a folder of its name.
 
 poles.json, from an identify step; frequencies [rad/s], slowest first; `true` is [] where nobody knows the rig's own::
 
@@ -141,11 +142,17 @@ class Timing(Checked):
 
 @dataclass(frozen=True)
 class Results:
-    """What a campaign found out; None for what none of its steps was about."""
+    """What a campaign found out: comparisons by step, in their order; no poles where no step identified any."""
 
     poles: AllPoles | None
-    comparison: Comparison | None
+    comparisons: dict[str, Comparison]
     timing: Timing
+
+    @property
+    def main(self) -> Comparison | None:
+        """The comparison that is the paper's, or else the first."""
+        comparisons = list(self.comparisons.values())
+        return next((one for one in comparisons if one.is_the_papers), comparisons[0] if comparisons else None)
 
 
 Content = TypeVar("Content", bound=Checked)
@@ -162,11 +169,13 @@ def read_results(directory: Path | str) -> Results:
     directory = Path(directory)
     if not directory.is_dir():
         raise AbraceError(f"results directory {directory}: expected a directory that a campaign wrote")
-    poles, comparison = directory / "poles.json", directory / "comparison.json"
+    timing = _read(directory / "timing.json", Timing)
+    poles = directory / "poles.json"
+    comparisons = {step.name: directory / step.name / "comparison.json" for step in timing.steps}
     return Results(
         _read(poles, AllPoles) if poles.exists() else None,
-        _read(comparison, Comparison) if comparison.exists() else None,
-        _read(directory / "timing.json", Timing),
+        {step: _read(path, Comparison) for step, path in comparisons.items() if path.exists()},
+        timing,
     )
 
 

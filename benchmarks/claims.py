@@ -1,0 +1,42 @@
+"""Numbers that are asked for beside those that were reached."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from abrace_bringup.table import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A number that is asked for: `reached` has to be at most `asked` (or at least, where `least`)."""
+
+    name: str
+    reached: float
+    asked: float
+    peer: str
+    least: bool = False
+
+    @property
+    def holds(self) -> bool:
+        """Whether what was asked for is reached."""
+        return self.reached >= self.asked if self.least else self.reached <= self.asked
+
+
+def claim_table(claims: Sequence[Claim]) -> Table:
+    """What was reached of what was asked."""
+    rows = tuple(
+        (
+            claim.name,
+            f"{claim.reached:.3g}",
+            f"{'>=' if claim.least else '<='} {claim.asked:g}",
+            claim.peer,
+            "" if claim.holds else "MISSED",
+        )
+        for claim in claims
+    )
+    return Table("Accuracy (relative errors, unless said)", ("claim", "reached", "asked", "peer", ""), rows)

@@ -1,0 +1,173 @@
+"""The five controllers as they run: designed on the identified model, recorded on the lockstep graph, simulated beside.
+
+The campaign is `five_controllers.yaml` of abrace_bringup: tests, model, LQG1 to LQG5, each under El Centro at 0.1 g and
+under noise of another seed; a record that is given, such as Kobe, is added. Everything is read from what the campaign
+wrote: nothing here designs or simulates a second time.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from claims import Claim
+from domain_coordinator import domain_id
+from papers_simulation import papers_simulation
+
+from abrace_bringup.campaign import run_campaign
+from abrace_bringup.report import make_report, worst_peak_rms_error
+from abrace_bringup.results import read_results
+from abrace_bringup.table import Table
+from abrace_core.controller_file import load_controller
+from abrace_core.node import find_file
+from abrace_core.response import TABLE_1_EXPERIMENT
+
+if TYPE_CHECKING:
+    from abrace_bringup.results import Comparison, Results
+
+CONTROLLERS = ("lqg1", "lqg2", "lqg3", "lqg4", "lqg5")
+MOTIONS = ("el_centro", "noise", "record")
+RESPONSES = ("x1", "x2", "x3", "a1", "a2", "a3")
+KEPT = Path("results/five_controllers")
+"""Where the campaign's report and figures stay."""
+
+
+def verify_lqg(record: Path | None) -> tuple[dict[str, Any], list[Claim], list[Table]]:
+    """Values for verify.json, claims, and a table of the controllers."""
+    values = evaluate(run(record))
+    values["papers_simulation"] = papers_simulation(load_controller(KEPT / "lqg3/lqg3.yaml").law)
+    controllers = values["controllers"]
+    strongest = controllers["lqg3"]
+    claims = [
+        Claim("LQG3, Table 1: mean error of 18 cells", values["table1_error"], 0.045, "paper's simulation 0.136"),
+        Claim("LQG3, Table 1: worst cell", values["table1_worst"], 0.12, "paper's simulation 0.32"),
+        Claim("LQG3: gain margin, dB", strongest["gain_margin_db"], 8, "-", least=True),
+        Claim("LQG3: phase margin, degrees", strongest["phase_margin_deg"], 45, "-", least=True),
+        Claim("LQG3: delay margin, ms", strongest["delay_margin_ms"], 15, "-", least=True),
+        Claim("LQG3: least damping kept by an unmodelled pair", strongest["local_damping_kept"], 0.85, "-", least=True),
+        Claim("f/U, rms", values["force_to_command_rms"], 1.03, "paper 1.05", least=True),
+        Claim("f/U, rms", values["force_to_command_rms"], 1.09, "paper 1.05"),
+    ]
+    explained = values["papers_simulation"]
+    peer = f"consistent {explained['consistent_error']:.3f}"
+    claims.append(Claim("A1 and A2 superposed: from the paper's simulation", explained["error"], 0.08, peer))
+    for name, found in controllers.items():
+        peer = f"24 states {found['peak_rms_error_24_states']:.2g}"
+        claims += [
+            Claim(f"{name}: least correlation, every channel", found["worst_correlation"], 0.998, "-", least=True),
+            Claim(f"{name}: peaks and rms, mean", found["peak_rms_error"], 0.015, peer),
+            Claim(f"{name}: peaks and rms, worst", found["worst_peak_rms_error"], 0.05, "-"),
+            Claim(f"{name}: delay margin, ms", found["delay_margin_ms"], 4, "-", least=True),
+        ]
+    return values, claims, [_table(controllers)]
+
+
+def _table(controllers: dict[str, Any]) -> Table:
+    """Margins, strength and reductions of the five."""
+    header = ("", "gain dB", "phase deg", "delay ms", "peak command kgf", *(f"{row} rms -%" for row in RESPONSES))
+    rows = tuple(
+        (
+            name,
+            f"{found['gain_margin_db']:.1f}",
+            f"{found['phase_margin_deg']:.0f}",
+            f"{found['delay_margin_ms']:.1f}",
+            f"{found['peak_command']:.0f}",
+            *(f"{100 * found['reductions']['el_centro']['rms'][row]:.1f}" for row in RESPONSES),
+        )
+        for name, found in controllers.items()
+    )
+    return Table("The five controllers, El Centro at 0.1 g, as measured", header, rows)
+
+
+def campaign_text(record: Path | None) -> str:
+    """The campaign's YAML, with the tests of another record at 0.1 g added."""
+    text = find_file("five_controllers", "abrace_bringup", "campaigns", ".yaml", "campaign").read_text(encoding="utf-8")
+    if record is None:
+        return text
+    motion = f"ground_motion: {{record: {json.dumps(str(record.resolve()))}, peak_acceleration: 0.980665}}"
+    steps = [f"  - {{name: record, test: {{duration: 50.0, {motion}}}}}"]
+    for name in CONTROLLERS:
+        check = f"{{test: record_{name}, uncontrolled: record, model: model, controller: {name}}}"
+        steps += [
+            f"  - {{name: record_{name}, test: {{duration: 50.0, {motion}, controller: {name}}}}}",
+            f"  - {{name: record_{name}_check, validate: {check}}}",
+        ]
+    return text + "\n".join(steps) + "\n"
+
+
+def run(record: Path | None) -> Results:
+    """Run the campaign in a folder of its own, keep its report, return what it found."""
+    with tempfile.TemporaryDirectory() as folder, domain_id() as domain:
+        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+        campaign = Path(folder) / "five_controllers.yaml"
+        campaign.write_text(campaign_text(record), encoding="utf-8")
+        here = Path.cwd()
+        os.chdir(folder)
+        try:
+            results = run_campaign(campaign)
+            make_report(results)
+            found = read_results(results)
+            shutil.rmtree(here / KEPT, ignore_errors=True)
+            shutil.copytree(results, here / KEPT)
+        finally:
+            os.chdir(here)
+    return found
+
+
+def evaluate(found: Results) -> dict[str, Any]:
+    """What was found, as verify.json has it."""
+    main = found.comparisons["el_centro_lqg3_check"]
+    cells = [
+        abs(getattr(main.measured[name], key) / getattr(row, key) - 1)
+        for name, row in TABLE_1_EXPERIMENT.items()
+        for key in ("peak", "rms")
+    ]
+    return {
+        "table1_error": float(np.mean(cells)),
+        "table1_worst": float(np.max(cells)),
+        "force_to_command_rms": main.measured["f"].rms / main.measured["U"].rms,
+        "controllers": {name: _controller(found, name) for name in CONTROLLERS},
+    }
+
+
+def _controller(found: Results, name: str) -> dict[str, Any]:
+    tests = {
+        motion: found.comparisons[step] for motion in MOTIONS if (step := f"{motion}_{name}_check") in found.comparisons
+    }
+    proof = json.loads((KEPT / name / f"{name}_proof.json").read_text(encoding="utf-8"))
+    margins = proof["margins"]
+    return {
+        "worst_correlation": min(_least_correlation(test) for test in tests.values()),
+        "peak_rms_error": max(test.peak_rms_error for test in tests.values()),
+        "worst_peak_rms_error": max(worst_peak_rms_error(test) for test in tests.values()),
+        "peak_rms_error_24_states": max(test.other_models["superposed"].peak_rms_error for test in tests.values()),
+        "gain_margin_db": margins["gain"],
+        "phase_margin_deg": margins["phase"],
+        "delay_margin_ms": 1e3 * margins["delay"],
+        "local_damping_kept": proof["least_damping_kept"],
+        "reduction": _reduction(tests["el_centro"]),
+        "reductions": {
+            motion: {key: {row: _less(test, row, key) for row in RESPONSES} for key in ("peak", "rms")}
+            for motion, test in tests.items()
+        },
+        "peak_command": tests["el_centro"].measured["U"].peak,
+    }
+
+
+def _least_correlation(test: Comparison) -> float:
+    return min(row.correlation for row in test.simulated_vs_measured.values())
+
+
+def _less(test: Comparison, row: str, key: str) -> float:
+    assert test.uncontrolled is not None
+    return 1 - float(getattr(test.measured[row], key) / getattr(test.uncontrolled[row], key))
+
+
+def _reduction(test: Comparison) -> float:
+    """By how much the controller lowers the rms values of displacements and accelerations, mean of all floors."""
+    return float(np.mean([_less(test, row, "rms") for row in RESPONSES]))
