@@ -30,8 +30,8 @@ LOOK_FOR_TOPICS = 0.05
 """Seconds between looks for topics that have not appeared yet."""
 TAKE_PERIOD = 0.005
 """Seconds between looks for messages, which the middleware has taken in; a callback for each would cost more."""
-DEPTH = 1000
-"""Messages that may wait for the logger on each topic: two seconds of samples."""
+DEPTH = 5000
+"""Messages that may wait for the logger on each topic: ten seconds of samples."""
 
 
 @dataclass
