@@ -158,6 +158,8 @@ def test_a_bag_that_exists_is_not_written_over(tmp_path):
     [
         ("states: 1", "states: 2", "a_d"),
         ("c_d: [1.0]", "c_d: [.nan]", "c_d"),
+        ("a_d: [0.5]", "a_d: [1.5]", "not stable"),
+        ("p_d: [1.0, 0.0]", "p_d: [1.0]", "p_d"),
         ("measured: [a1]", "measured: []", "measured"),
         ("sample_period: 0.002", "sample_period: -0.002", "sample_period"),
     ],
@@ -166,7 +168,7 @@ def test_a_wrong_controller_file_is_refused_in_one_line(tmp_path, old, new, expe
     text = (
         '/**:\n  ros__parameters:\n    name: "c"\n    model: "m"\n    weights: "w"\n    margins: "none"\n'
         "    sample_period: 0.002\n    measured: [a1]\n    commands: [U]\n    states: 1\n    force_limit: [100.0]\n"
-        "    a_d: [0.5]\n    b_d: [1.0]\n    c_d: [1.0]\n    d_d: [0.0]\n"
+        "    a_d: [0.5]\n    b_d: [1.0]\n    c_d: [1.0]\n    d_d: [0.0]\n    g_d: [0.0]\n    p_d: [1.0, 0.0]\n"
     )
     assert old in text
     path = tmp_path / "controller.yaml"

@@ -83,7 +83,7 @@ def test_a_controller_of_its_own_controls_any_rig(graph, name, tmp_path):
     rig = rig_named(name)
     weights = load_weights(find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights"))
     measured = [f"a{floor + 1}" for floor in range(rig.floors)]
-    made = design(rig.model, weights.model_copy(update={"measured": measured}), 1 / rig.sample_rate)
+    made = design(rig.model, weights.model_copy(update={"measured": measured, "relative": {}}), 1 / rig.sample_rate)
     parts = made.controller, made.correction, made.prediction
     file = tmp_path / "controller.yaml"
     save_controller(Controller(name, *parts, rig.capacity, "the rig's own", "lqg3", "not needed here"), file)
