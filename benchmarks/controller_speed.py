@@ -64,7 +64,7 @@ def reduced(rig: Rig) -> LinearModel:
 def lqg3() -> Controller:
     """LQG3 on eight states and the two of the command's delay."""
     rig, weights = rig_and_weights()
-    made = design(reduced(rig), weights, 1 / rig.sample_rate, (rig.model,))
+    made = design(reduced(rig), weights, 1 / rig.sample_rate)
     observer = made.correction, made.prediction
     return Controller("lqg3", made.controller, *observer, rig.capacity, "the rig's own", "lqg3", "not needed here")
 
@@ -212,7 +212,7 @@ def tustin_agreement() -> float:
     from scipy import signal
 
     rig, weights = rig_and_weights()
-    made = design(reduced(rig), weights, 1 / rig.sample_rate, (rig.model,))
+    made = design(reduced(rig), weights, 1 / rig.sample_rate)
     law, continuous = made.controller, made.continuous
     parts = (continuous.a, continuous.b, continuous.c, continuous.d)
     a, b, c, d, period = signal.cont2discrete(parts, law.sample_period, method="bilinear")

@@ -156,7 +156,7 @@ def measure_prediction() -> dict[str, Any]:
     found = identify(runs["table"], runs["command"])
     models = {"consistent": found.model, "states_24": found.superposed, "states_8": found.reduced}
     weights = load_weights(find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights"))
-    law = design(found.reduced, weights, 1 / rig.sample_rate, (found.model, found.superposed)).controller
+    law = design(found.reduced, weights, 1 / rig.sample_rate).controller
     treatment = Treatment(peak_acceleration=0.1 * STANDARD_GRAVITY, duration=100.0)
     ground = prepare(read_record("el_centro"), rig.sample_rate, treatment)
     laboratory = Laboratory(rig, 2 * COVERAGE_SEEDS)

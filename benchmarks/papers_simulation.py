@@ -304,7 +304,7 @@ def lqg3() -> LinearModel:
     laboratory = Laboratory(rig)
     found = identify(laboratory.table_test(300), laboratory.command_test(300))
     weights = load_weights(find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights"))
-    return design(found.reduced, weights, 1 / rig.sample_rate, (found.model, found.superposed)).controller
+    return design(found.reduced, weights, 1 / rig.sample_rate).controller
 
 
 def cells_table(found: dict[str, Any]) -> Table:

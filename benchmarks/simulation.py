@@ -54,7 +54,7 @@ def rig_and_law() -> tuple[LinearModel, LinearModel, NDArray[np.float64]]:
     rig = load_rig(SOURCE / "abrace_plant/config/ncree_three_storey.yaml")
     weights = load_weights(SOURCE / "abrace_lqg/config/lqg3.yaml")
     reduced = balanced_truncation(rig.model, 8, typical_scales(rig.model, (0.3, 30.0))).model
-    law = design(reduced, weights, 1 / rig.sample_rate, (rig.model,)).controller
+    law = design(reduced, weights, 1 / rig.sample_rate).controller
     return rig.discrete_model(), law, rig.capacity
 
 
