@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
-from rclpy.time import Time
 
 from abrace_bringup.processes import find_executable
 from abrace_core.bag import BagWriter, message_definition
@@ -16,7 +14,7 @@ from abrace_core.controller_file import load_controller
 from abrace_core.linear_model import load_model, pole_table
 from abrace_core.node import find_file
 from abrace_core.noise import banded_noise
-from abrace_interfaces.msg import Response
+from abrace_core.wire import Responses
 from abrace_plant.rig_file import load_rig
 from abrace_plant.rig_loop import RigLoop
 
@@ -30,15 +28,14 @@ def write_bag(path: Path, ground: np.ndarray, command: np.ndarray, lost: range =
     definition = message_definition("abrace_interfaces/msg/Response")
     with BagWriter(path, {"sample_period": "0.002", "rig": rig.name}) as bag:
         topic = bag.add_topic("/response", definition.type_name, definition.text, definition.type_hash)
+        packed = Responses()
         for k in range(len(ground)):
             sample = loop.sample()
-            x, xf, a, f, w = np.split(sample.reading, [3, 4, 7, 8])
-            message = Response(sequence=k, ground_acceleration=float(w[0]))
-            message.header.stamp = Time(nanoseconds=2_000_000 * k).to_msg()
-            message.displacement, message.stroke, message.acceleration, message.force = map(list, (x, xf, a, f))
-            message.command = list(sample.command)
+            z = sample.reading
+            time = 2_000_000 * k
+            payload = packed.pack(time, k, z[:3], z[4:7], z[3:4], z[7:8], sample.command, float(z[8]))
             if k not in lost:
-                bag.write(topic, serialize_message(message), 2_000_000 * k, 2_000_000 * k)
+                bag.write(topic, payload, time, time)
             loop.take_ground_acceleration(k, float(ground[k]))
             loop.take_command(k, np.array([command[k]]))
     return path
