@@ -350,7 +350,8 @@ def test_damaged_chunk_is_left_out_and_counted(tmp_path: Path) -> None:
         fields = contents["/response"].fields
         assert set(range(60)) - set(fields["sequence"].tolist()) == set(lost)
         check_values(fields, messages)
-        assert any("12 of 72 messages are missing" in warning for warning in contents.warnings)
+        assert any("10 of 60 messages of /response are missing" in warning for warning in contents.warnings)
+        assert any("2 of 12 messages of /note are missing" in warning for warning in contents.warnings)
 
 
 def test_damaged_facts_are_an_error(tmp_path: Path) -> None:

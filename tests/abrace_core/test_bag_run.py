@@ -146,5 +146,5 @@ def test_hole_in_a_damaged_bag_is_refused_with_its_cause(tmp_path: Path) -> None
     content = bytearray(file.read_bytes())
     content[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 1
     file.write_bytes(content)
-    with pytest.raises(AbraceError, match=r"is followed by sample .*messages are missing"):
+    with pytest.raises(AbraceError, match=r"is followed by sample .*messages of /response are missing"):
         read_run(bag)

@@ -1,4 +1,4 @@
-"""The `abrace` command: run PACKAGE EXECUTABLE, campaign FILE, report DIRECTORY, demo."""
+"""The `abrace` command: run PACKAGE EXECUTABLE, campaign FILE, report DIRECTORY, bag ACTION, demo."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from abrace_bringup.bag_command import add_bag_parser, bag_command
 from abrace_bringup.processes import NodeDied, find_executable, terminate_as_exception
 from abrace_core.errors import AbraceError
 
@@ -31,6 +32,7 @@ def parser() -> argparse.ArgumentParser:
     campaign.add_argument("file", help="YAML file, or the name of one of ours: demo, five_controllers")
     report = commands.add_parser("report", help="tables and summary.json from a campaign's results")
     report.add_argument("directory", type=Path, help="such as results/demo")
+    add_bag_parser(commands)
     commands.add_parser(DEMO, help="the paper's tests, identification, design and comparison on the simulated rig")
     return main_parser
 
@@ -53,6 +55,9 @@ def _carry_out(given: argparse.Namespace) -> int:
     if given.command == "run":
         program = find_executable(given.package, given.executable)
         os.execv(program, [str(program), *given.arguments])
+    if given.command == "bag":
+        bag_command(given)
+        return 0
     from abrace_bringup.report import make_report
 
     if given.command == "report":

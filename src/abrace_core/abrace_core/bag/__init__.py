@@ -2,11 +2,13 @@
 
 A bag is a directory that `ros2 bag`, `mcap` and `rosbags` read, with the run's facts in it. It is written message by
 message (`BagWriter`), and read back whole topics at a time as arrays (`read_topics`) or as a test of the rig
-(`read_run`), also when the process that wrote it was killed.
+(`read_run`), also when the process that wrote it was killed
+(`recover` makes a whole bag of such a one).
 """
 
 from abrace_core.bag.definitions import MessageDefinition, message_definition
 from abrace_core.bag.reader import BagContents, TopicArrays, read_facts, read_topics
+from abrace_core.bag.recovery import Recovered, recover
 from abrace_core.bag.run import read_run
 from abrace_core.bag.writer import BagWriter, offered_qos
 
@@ -14,10 +16,12 @@ __all__ = [
     "BagContents",
     "BagWriter",
     "MessageDefinition",
+    "Recovered",
     "TopicArrays",
     "message_definition",
     "offered_qos",
     "read_facts",
     "read_run",
     "read_topics",
+    "recover",
 ]

@@ -1,22 +1,23 @@
 """One MCAP file to the messages of each channel, chunk by chunk, with every checksum checked.
 
-What is whole is kept, what is not is left out and said. The messages of a chunk are taken to arrays together: only
-finding where each begins is Python work for every message, about 0.2 microseconds.
+What is whole is kept, what is not is left out and said. Behind a damaged place reading goes on at the next chunk: the
+index says where that is, and where there is no index, because the file was cut off, it is looked for. Where topics or a
+range of time are asked for, only the chunks that the index names for them are read.
 """
 
 from __future__ import annotations
 
 import os
-import struct
+import re
 import zlib
 from typing import TYPE_CHECKING, BinaryIO
 
-import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
-import zstandard
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
+from abrace_core.bag.chunks import CHUNK_HEAD, Chunk, parse_chunk, unpack, unpack_beginning
+from abrace_core.bag.mcap_index import Index, read_index
 from abrace_core.bag.mcap_records import (
     FACTS_RECORD,
     RECORD_HEAD,
@@ -26,24 +27,19 @@ from abrace_core.bag.mcap_records import (
     next_record,
     open_mcap,
 )
+from abrace_core.bag.selection import Selection, Wanted
 from abrace_core.bag.stream import MESSAGE_HEAD_SIZE, Channel, Stream
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
-_SUMMARY_OPCODES = frozenset(
-    {
-        Opcode.SCHEMA,
-        Opcode.CHANNEL,
-        Opcode.STATISTICS,
-        Opcode.CHUNK_INDEX,
-        Opcode.ATTACHMENT_INDEX,
-        Opcode.METADATA_INDEX,
-        Opcode.SUMMARY_OFFSET,
-    }
-)
+    from numpy.typing import NDArray
+
+_DATA_END_SIZE = RECORD_HEAD.size + 4
+_SEARCH_SIZE = 1 << 22
+"""Bytes in which the next chunk is looked for at a time."""
+_CHUNK = re.compile(rb"(?=\x06.{5}\0{3}.{28}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4}).{8})", re.DOTALL)
 
 
 class McapFile:
@@ -54,7 +50,7 @@ class McapFile:
     path
         The file.
     wanted
-        Whether to keep a channel's messages.
+        Which messages to keep.
 
     Attributes
     ----------
@@ -64,8 +60,12 @@ class McapFile:
         Messages by channel number.
     facts
         The run's facts; None where there are none, or they are damaged.
+    attachments
+        How many there are.
     warnings
         What is missing or can't be trusted, one sentence each.
+    uncounted
+        Whether messages are missing, nobody knows how many.
 
     Raises
     ------
@@ -73,22 +73,31 @@ class McapFile:
         If the file can't be read or is not MCAP.
     """
 
-    def __init__(self, path: Path, wanted: Callable[[Channel], bool]) -> None:
-        self.channels: dict[int, Channel] = {}
-        self.streams: dict[int, Stream] = {}
+    def __init__(self, path: Path, wanted: Wanted) -> None:
         self.facts: dict[str, str] | None = None
+        self.attachments = 0
         self.warnings: list[str] = []
+        self.uncounted = False
         self._path = path
         self._wanted = wanted
-        self._schemas: dict[int, tuple[str, str, str]] = {}
-        self._statistics: int | None = None
-        self._found = 0
-        self._unchecked = 0
-        self._checked = False
+        self._found = Selection(wanted)
+        self._chunk: tuple[int, Chunk] | None = None
+        self._said: list[NDArray[np.int64]] = []
         self._loose = bytearray()
-        self._decompressor = zstandard.ZstdDecompressor()
+        self._unchecked = 0
+        self._whole = True
         with open_mcap(path) as file:
-            self._read(file)
+            self._size = os.fstat(file.fileno()).st_size
+            index, trouble = None, None
+            try:
+                index = read_index(file, self._size)
+            except DamagedError as error:
+                trouble = str(error)
+            if index is None or not self._read_by_index(file, index):
+                self._found = Selection(wanted)
+                self._read_all(file, index, trouble)
+        self.channels: dict[int, Channel] = self._found.descriptions.channels
+        self.streams: dict[int, Stream] = self._found.streams
         for number in [number for number in self.streams if number not in self.channels]:
             lost = self.streams.pop(number).count
             self._warn(f"{lost} messages of channel {number} are left out: what the channel is was lost")
@@ -96,72 +105,90 @@ class McapFile:
     def _warn(self, text: str) -> None:
         self.warnings.append(f"{self._path}: {text}")
 
-    def _read(self, file: BinaryIO) -> None:
-        checksum = zlib.crc32(MCAP0_MAGIC)
-        size = os.fstat(file.fileno()).st_size
-        summary: list[tuple[int, bytes]] | None = None
-        opcode, offset = 0, 0
+    def _read_by_index(self, file: BinaryIO, index: Index) -> bool:
+        """Read the chunks that are needed, if there are others and those are whole."""
+        needed = [chunk for chunk in index.chunks if self._wanted.may_be_in(chunk, index.descriptions)]
+        if len(needed) == len(index.chunks):
+            return False
+        self._found.descriptions = index.descriptions
         try:
-            while opcode != Opcode.FOOTER:
-                offset = file.tell()
-                opcode, body = next_record(file, size)
-                if summary is None and opcode == Opcode.DATA_END:
-                    fields = RecordFields(body)
-                    self._end_of_data(fields.number(4), checksum)
-                    fields.end()
-                    summary, checksum = [], 0
-                    continue
-                checksum = zlib.crc32(RECORD_HEAD.pack(opcode, len(body)), checksum)
-                if summary is None:
-                    checksum = zlib.crc32(body, checksum)
-                    self._data_record(offset, opcode, body)
-                elif opcode == Opcode.FOOTER:
-                    self._footer(body, zlib.crc32(body[:-4], checksum), summary)
-                elif opcode in _SUMMARY_OPCODES:
-                    checksum = zlib.crc32(body, checksum)
-                    summary.append((opcode, body))
-                else:
-                    raise DamagedError("is not one of an index")
+            for offset in index.metadata.get(FACTS_RECORD, []):
+                file.seek(offset)
+                self._metadata(next_record(file, self._size)[1])
+            for chunk in needed:
+                file.seek(chunk.offset)
+                opcode, body = next_record(file, self._size)
+                if opcode != Opcode.CHUNK:
+                    raise DamagedError("is not a chunk")
+                self._found.take(unpack(parse_chunk(body)), self._messages_said(file))
+        except (DamagedError, AbraceError):
+            return False
+        return True
+
+    def _messages_said(self, file: BinaryIO) -> list[NDArray[np.int64]]:
+        """Where the messages of the chunk begin that ends here, as the records behind it say."""
+        said = []
+        opcode, body = next_record(file, self._size)
+        while opcode == Opcode.MESSAGE_INDEX:
+            said.append(_message_index(body))
+            opcode, body = next_record(file, self._size)
+        return said
+
+    def _read_all(self, file: BinaryIO, index: Index | None, trouble: str | None) -> None:
+        checksum = zlib.crc32(MCAP0_MAGIC)
+        expected: int | None = None
+        file.seek(len(MCAP0_MAGIC))
+        while expected is None:
             offset = file.tell()
-            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                raise DamagedError("is not MCAP's closing mark")
-        except DamagedError as error:
-            what = "the rest" if summary is None else "the index"
-            self._warn(f"cut off or damaged at byte {offset} of {size}, {what} is not read: what is there {error}")
-        if self._loose:
-            self._messages(bytes(self._loose))
-            if not self._checked:
-                self._warn("the messages are in no chunks and have no checksum: damage in them would not be seen")
+            try:
+                opcode, body = next_record(file, self._size)
+                if opcode == Opcode.DATA_END and len(body) == 4:
+                    expected = int.from_bytes(body, "little")
+                    break
+                self._data_record(offset, opcode, body)
+                checksum = zlib.crc32(body, zlib.crc32(RECORD_HEAD.pack(opcode, len(body)), checksum))
+            except DamagedError as error:
+                place = self._next_place(file, offset, index)
+                if place is None:
+                    what = f"cut off or damaged at byte {offset} of {self._size}, the rest is not read"
+                    self._warn(f"{what}: what is there {error}")
+                    self._cut_chunk(file, offset)
+                    break
+                self._whole = False
+                self._warn(f"damaged at byte {offset} of {self._size}, read on at byte {place}: what is there {error}")
+                file.seek(place)
+        self._finish_chunk()
+        if expected is None:
+            self._whole = False
+        elif trouble is not None:
+            self._warn(f"cut off or damaged, the index is not used: it {trouble}")
+        self._loose_messages(expected, checksum, file)
+        if self._whole and expected not in (None, 0, checksum):
+            self._warn("damaged between its chunks: the checksum over them does not fit")
         if self._unchecked:
             self._warn(f"{self._unchecked} chunks have no checksum: damage in them would not be seen")
-        if self._statistics is not None and self._statistics != self._found:
-            self._warn(f"{self._statistics - self._found} of {self._statistics} messages are missing")
+        self._count(index)
 
     def _data_record(self, offset: int, opcode: int, body: bytes) -> None:
+        if opcode == Opcode.MESSAGE_INDEX and self._chunk is not None:
+            self._said.append(_message_index(body))
+            return
+        self._finish_chunk()
         fields = RecordFields(body)
         if opcode == Opcode.CHUNK:
             if self._loose:
                 raise DamagedError("is a chunk among messages outside chunks")
-            self._chunk(offset, fields)
+            self._chunk = offset, parse_chunk(body)
         elif opcode == Opcode.MESSAGE:
-            if self._found or len(body) < MESSAGE_HEAD_SIZE - RECORD_HEAD.size:
+            if self._found.counts or len(body) < MESSAGE_HEAD_SIZE - RECORD_HEAD.size:
                 raise DamagedError("is a message outside the chunks")
             self._loose += RECORD_HEAD.pack(opcode, len(body)) + body
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self._description(opcode, body)
+            self._found.descriptions.add(opcode, body)
         elif opcode == Opcode.METADATA:
-            name = fields.text()
-            texts = fields.texts()
-            fields.end()
-            if name == FACTS_RECORD:
-                try:
-                    self.facts = checked_facts(self._path, texts)
-                except AbraceError as error:
-                    self.warnings.append(str(error))
+            self._metadata(body)
         elif opcode == Opcode.MESSAGE_INDEX:
-            fields.number(2)
-            fields.take(fields.number(4))
-            fields.end()
+            _message_index(body)
         elif opcode == Opcode.HEADER:
             fields.text()
             fields.text()
@@ -169,99 +196,109 @@ class McapFile:
         elif opcode == Opcode.ATTACHMENT:
             if len(body) < 4 or zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
                 raise DamagedError("is an attachment that does not fit its checksum")
+            self.attachments += 1
         elif opcode < 0x80:
             raise DamagedError(f"is of an unknown kind ({opcode:#04x})")
         else:
             self._warn(f"the record at byte {offset} is of an unknown kind ({opcode:#04x}) and left out")
 
-    def _end_of_data(self, expected: int, checksum: int) -> None:
-        self._checked = expected == checksum
-        if self._checked or expected == 0:
-            return
-        if self._loose:
-            raise AbraceError(f"{self._path}: its messages do not fit their checksum, the file is damaged")
-        self._warn("damaged between its chunks: the checksum over them does not fit")
-
-    def _footer(self, body: bytes, checksum: int, summary: list[tuple[int, bytes]]) -> None:
+    def _metadata(self, body: bytes) -> None:
         fields = RecordFields(body)
-        fields.take(16)
-        expected = fields.number(4)
+        name = fields.text()
+        texts = fields.texts()
         fields.end()
-        if expected not in (0, checksum):
-            self._warn("its index does not fit its checksum and is not used")
-        elif expected:
-            for opcode, content in summary:
-                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._description(opcode, content)
-                elif opcode == Opcode.STATISTICS:
-                    self._statistics = RecordFields(content).number(8)
+        if name == FACTS_RECORD:
+            try:
+                self.facts = checked_facts(self._path, texts)
+            except AbraceError as error:
+                self.warnings.append(str(error))
 
-    def _chunk(self, offset: int, fields: RecordFields) -> None:
-        fields.take(16)
-        size, checksum, compression = fields.number(8), fields.number(4), fields.text()
-        packed = fields.take(fields.number(8))
-        fields.end()
+    def _finish_chunk(self) -> None:
+        """Take the messages of the chunk whose message indexes have all been read."""
+        if self._chunk is None:
+            return
+        (offset, chunk), said = self._chunk, self._said
+        self._chunk, self._said = None, []
         try:
-            data = self._unpack(packed, compression, size)
-        except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
-            self._warn(f"the chunk at byte {offset} does not unpack and is left out ({error})")
+            self._found.take(unpack(chunk), said)
+        except DamagedError as error:
+            self._whole = False
+            self._warn(f"the chunk at byte {offset} {error} and is left out")
             return
-        if len(data) != size or (checksum and zlib.crc32(data) != checksum):
-            self._warn(f"the chunk at byte {offset} does not fit its checksum and is left out")
-            return
-        self._unchecked += checksum == 0
-        self._messages(data)
+        self._unchecked += chunk.checksum == 0
 
-    def _unpack(self, packed: bytes, compression: str, size: int) -> bytes:
-        if compression == "zstd":
-            known = zstandard.frame_content_size(packed)
-            if known not in (-1, size):
-                raise zstandard.ZstdError(f"is {known} bytes, expected {size}")
-            return self._decompressor.decompress(packed, max_output_size=size)
-        if compression == "lz4":
-            return bytes(lz4.frame.decompress(packed))
-        if compression == "":
-            return packed
-        raise zstandard.ZstdError(f"compression {compression!r}, expected zstd, lz4 or none")
+    def _next_place(self, file: BinaryIO, offset: int, index: Index | None) -> int | None:
+        """Where reading can go on behind damage at `offset`."""
+        if index is not None:
+            places = [chunk.offset for chunk in index.chunks] + [index.begin - _DATA_END_SIZE]
+            return next((place for place in places if place > offset), None)
+        place = offset + 1
+        while place < self._size:
+            file.seek(place)
+            searched = file.read(_SEARCH_SIZE)
+            for found in _CHUNK.finditer(searched):
+                if self._is_chunk(searched[found.start() : found.start() + 64], self._size - place - found.start()):
+                    return place + found.start()
+            place += max(len(searched) - 64, 1) if place + len(searched) < self._size else len(searched)
+        return None
 
-    def _messages(self, data: bytes) -> None:
-        starts = []
-        offset, end = 0, len(data)
-        length_at = struct.Struct("<Q").unpack_from
-        while offset < end - 8:
-            starts.append(offset)
-            offset += 9 + length_at(data, offset + 1)[0]
-        if offset != end:
-            raise DamagedError("is a chunk whose records don't fill it")
-        if not starts:
-            return
-        start = np.array(starts, np.int64)
-        size = np.diff(start, append=end)
-        opcode = np.frombuffer(data, np.uint8)[start]
-        for one in np.flatnonzero((opcode == Opcode.SCHEMA) | (opcode == Opcode.CHANNEL)):
-            self._description(int(opcode[one]), data[start[one] + RECORD_HEAD.size : start[one] + size[one]])
-        start, size = start[opcode == Opcode.MESSAGE], size[opcode == Opcode.MESSAGE]
-        if not start.size:
-            return
-        if size.min() < MESSAGE_HEAD_SIZE:
-            raise DamagedError("is a chunk with a message that is too short")
-        self._found += start.size
-        channel = np.ndarray((end - 1,), "<u2", data, strides=(1,))[start + RECORD_HEAD.size]
-        for number in np.unique(channel).tolist():
-            if number in self.channels and not self._wanted(self.channels[number]):
-                continue
-            chosen = channel == number
-            self.streams.setdefault(number, Stream()).append(data, start[chosen], size[chosen])
+    def _is_chunk(self, head: bytes, left: int) -> bool:
+        """Whether the lengths in a chunk's head fit each other and the file."""
+        length = CHUNK_HEAD.unpack_from(head)[1]
+        fields = RecordFields(head[CHUNK_HEAD.size :])
+        name = fields.take(fields.number(4))
+        return 40 + len(name) + fields.number(8) == length <= left - RECORD_HEAD.size
 
-    def _description(self, opcode: int, body: bytes) -> None:
-        fields = RecordFields(body)
-        number = fields.number(2)
-        if opcode == Opcode.SCHEMA:
-            name, encoding = fields.text(), fields.text()
-            self._schemas[number] = (name, encoding, fields.text())
-        else:
-            schema = self._schemas.get(fields.number(2), ("", "", ""))
-            topic, encoding = fields.text(), fields.text()
-            fields.texts()
-            self.channels[number] = Channel(topic, encoding, *schema)
-        fields.end()
+    def _cut_chunk(self, file: BinaryIO, offset: int) -> None:
+        """Take what is there of the chunk in which the file ends."""
+        file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+        closed = file.read() == MCAP0_MAGIC
+        file.seek(offset)
+        head = file.read(RECORD_HEAD.size)
+        if closed or self._loose or len(head) < RECORD_HEAD.size or head[0] != Opcode.CHUNK:
+            return
+        self._finish_chunk()
+        try:
+            chunk = parse_chunk(file.read(), whole=False)
+            data = unpack_beginning(chunk)
+            taken = self._found.take(data, [])
+        except DamagedError:
+            return
+        if taken and not (len(data) == chunk.size and zlib.crc32(data) == chunk.checksum):
+            self._warn(f"{taken} messages of the chunk that is cut off are read without its checksum")
+
+    def _loose_messages(self, expected: int | None, checksum: int, file: BinaryIO) -> None:
+        """Take the messages outside chunks, where the checksum of all of them fits, or there is none."""
+        if not self._loose:
+            return
+        file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+        cut = expected is None and file.read() != MCAP0_MAGIC
+        if not cut and expected not in (0, checksum):
+            raise AbraceError(f"{self._path}: its messages do not fit their checksum, the file is damaged")
+        self._found.take(bytes(self._loose), [])
+        if expected != checksum:
+            self._warn("the messages are in no chunks and have no checksum: damage in them would not be seen")
+
+    def _count(self, index: Index | None) -> None:
+        """Say what is missing, by topic."""
+        found = self._found
+        if index is None or index.counts is None:
+            self.uncounted = not self._whole
+            return
+        found.descriptions.schemas.update(index.descriptions.schemas)
+        found.descriptions.channels.update(index.descriptions.channels)
+        for number, expected in index.counts.items():
+            missing = expected - found.counts.get(number, 0)
+            channel = found.descriptions.channels.get(number)
+            if missing > 0 and channel is not None and self._wanted.channel(channel):
+                self._warn(f"{missing} of {expected} messages of {channel.topic} are missing")
+
+
+def _message_index(body: bytes) -> NDArray[np.int64]:
+    """Where messages begin in their chunk."""
+    fields = RecordFields(body)
+    fields.number(2)
+    size = fields.number(4)
+    if size % 16 or size != len(body) - fields.offset:
+        raise DamagedError("has lengths that don't fit")
+    return np.frombuffer(body, "<i8", offset=fields.offset)[1::2]

@@ -66,6 +66,17 @@ class RecordFields:
             raise DamagedError("has lengths that don't fit")
         return found
 
+    def numbers(self, key_size: int) -> dict[int, int]:
+        """Numbers of 8 bytes by numbers of `key_size` bytes."""
+        end = self.number(4) + self.offset
+        found = {}
+        while self.offset < end:
+            key = self.number(key_size)
+            found[key] = self.number(8)
+        if self.offset != end:
+            raise DamagedError("has lengths that don't fit")
+        return found
+
     def take(self, size: int) -> bytes:
         """The next `size` bytes."""
         self.offset += size

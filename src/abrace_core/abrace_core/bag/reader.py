@@ -14,6 +14,7 @@ from abrace_core.bag.cdr import decode
 from abrace_core.bag.mcap_file import McapFile
 from abrace_core.bag.mcap_records import read_facts_record
 from abrace_core.bag.ros2msg import parse_message_type
+from abrace_core.bag.selection import Wanted
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -64,8 +65,10 @@ class BagContents(dict[str, TopicArrays]):
         self.warnings = warnings
 
 
-def read_topics(bag: Path | str, topics: Collection[str] | None = None) -> BagContents:
-    """Read whole topics of a bag.
+def read_topics(
+    bag: Path | str, topics: Collection[str] | None = None, begin: int | None = None, end: int | None = None
+) -> BagContents:
+    """Read topics of a bag. Chunks in which nothing of what is asked for can be are not read, where the bag has an index.
 
     Parameters
     ----------
@@ -73,6 +76,8 @@ def read_topics(bag: Path | str, topics: Collection[str] | None = None) -> BagCo
         A bag directory or a single MCAP file.
     topics
         Names of the topics to read; all when None.
+    begin, end
+        Log times of the messages to read [ns], `begin` included, `end` not; None: from the first, to the last.
 
     Returns
     -------
@@ -84,18 +89,21 @@ def read_topics(bag: Path | str, topics: Collection[str] | None = None) -> BagCo
     AbraceError
         If there is no such bag, it isn't one, a topic asked for is not in it, or messages do not fit their definition.
     """
-    contents = read_selected(bag, lambda channel: topics is None or channel.topic in topics)
+    contents = read_selected(bag, lambda channel: topics is None or channel.topic in topics, begin, end)
     missing = sorted(set(topics or ()) - set(contents))
     if missing:
         why = f" ({'; '.join(contents.warnings)})" if contents.warnings else ""
-        raise AbraceError(f"{bag}: no topic {missing[0]} in it{why}")
+        named = sorted({topic for path in bag_files(bag) for topic in topics_of(path)})
+        raise AbraceError(f"{bag}: no topic {missing[0]} in it{why}, expected one of {', '.join(named) or 'none'}")
     return contents
 
 
-def read_selected(bag: Path | str, wanted: Callable[[Channel], bool]) -> BagContents:
-    """Read the topics of a bag whose channels are wanted: `read_topics` by more than a name."""
-    files = [McapFile(path, wanted) for path in _files(Path(bag))]
-    warnings = _missing_files(Path(bag)) + [warning for file in files for warning in file.warnings]
+def read_selected(
+    bag: Path | str, wanted: Callable[[Channel], bool], begin: int | None = None, end: int | None = None
+) -> BagContents:
+    """Read the topics of a bag whose channels are wanted: `read_topics` by more than a name, else as `read_topics`."""
+    files = [McapFile(path, Wanted(wanted, begin, end)) for path in bag_files(bag)]
+    warnings = missing_files(bag) + [warning for file in files for warning in file.warnings]
     facts = next((file.facts for file in files if file.facts is not None), {})
     parts: dict[str, list[tuple[Channel, Stream | None]]] = {}
     for file in files:
@@ -108,6 +116,8 @@ def read_selected(bag: Path | str, wanted: Callable[[Channel], bool]) -> BagCont
             contents[topic] = _topic(found)
         except AbraceError as error:
             warnings.append(f"{bag}: topic {topic} is left out: {error}")
+    if any(file.uncounted for file in files):
+        warnings += [f"{bag}: {_missing_messages(topic, found)}" for topic, found in contents.items()]
     return BagContents(contents, facts, tuple(warnings))
 
 
@@ -119,10 +129,18 @@ def read_facts(bag: Path | str) -> dict[str, str]:
     AbraceError
         If there is no such bag, it isn't one, or its facts are damaged.
     """
-    return next((facts for facts in map(read_facts_record, _files(Path(bag))) if facts is not None), {})
+    return next((facts for facts in map(read_facts_record, bag_files(bag)) if facts is not None), {})
 
 
-def _files(bag: Path) -> list[Path]:
+def bag_files(bag: Path | str) -> list[Path]:
+    """The MCAP files of a `bag`, in their order.
+
+    Raises
+    ------
+    AbraceError
+        If there is none.
+    """
+    bag = Path(bag)
     try:
         there = bag.exists()
     except OSError as error:
@@ -141,8 +159,24 @@ def _files(bag: Path) -> list[Path]:
     return files
 
 
-def _missing_files(bag: Path) -> list[str]:
-    """Files that the bag's metadata.yaml names and that are not there."""
+def _missing_messages(topic: str, found: TopicArrays) -> str:
+    """What is known of messages that are missing where the bag's own count is lost."""
+    sequence = found.fields.get("sequence")
+    if sequence is None or sequence.dtype.kind not in "iu" or not sequence.size:
+        return f"topic {topic}: how many messages are missing is not known"
+    first, last = int(sequence.min()), int(sequence.max())
+    missing = last - first + 1 - np.unique(sequence).size
+    return f"topic {topic}: {missing} of the samples {first} to {last} are missing, later ones are not known"
+
+
+def topics_of(path: Path) -> list[str]:
+    """The topics of one MCAP file."""
+    return [channel.topic for channel in McapFile(path, Wanted(lambda _: False)).channels.values()]
+
+
+def missing_files(bag: Path | str) -> list[str]:
+    """Files that the metadata.yaml of a `bag` names and that are not there, one sentence each."""
+    bag = Path(bag)
     path = bag / "metadata.yaml"
     if not path.is_file():
         return []

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
     from numpy.typing import NDArray
 
 MESSAGE_HEAD_SIZE = 31
@@ -16,10 +18,11 @@ MESSAGE_HEAD_SIZE = 31
 
 @dataclass(frozen=True)
 class Channel:
-    """One topic in one file: its name, its type, and how its messages are written."""
+    """One topic in one file: its name, how its messages are written, what else is said of it (QoS, hash), its type."""
 
     topic: str
     message_encoding: str
+    details: Mapping[str, str]
     type_name: str
     schema_encoding: str
     definition: str
@@ -79,3 +82,11 @@ class Stream:
             records = np.concatenate([records for _, records in blocks])
             payloads.append((np.concatenate([numbers for numbers, _ in blocks]), records.view(row)["payload"]))
         return payloads
+
+    def messages(self) -> Iterator[tuple[int, int, bytes]]:
+        """Log time and publish time [ns] and bytes of every message, in their order."""
+        texts: list[bytes] = [b""] * self.count
+        for numbers, block in self.payloads():
+            for number, payload in zip(numbers.tolist(), block.tolist(), strict=True):
+                texts[number] = payload
+        yield from zip(self.log_time.tolist(), self.publish_time.tolist(), texts, strict=True)

@@ -1,0 +1,121 @@
+"""A whole bag out of one that was cut off or damaged: everything in it that can be read, as it came from the wire."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import yaml
+
+from abrace_core.bag.mcap_file import McapFile
+from abrace_core.bag.reader import bag_files, missing_files
+from abrace_core.bag.selection import Wanted
+from abrace_core.bag.writer import BagWriter
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from abrace_core.bag.stream import Channel, Stream
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What was recovered.
+
+    Parameters
+    ----------
+    counts
+        Messages by topic.
+    warnings
+        What is missing or can't be trusted, one sentence each.
+    """
+
+    counts: dict[str, int]
+    warnings: tuple[str, ...]
+
+
+def recover(bag: Path | str, output: Path | str) -> Recovered:
+    """Write a whole bag of everything that can be read of another.
+
+    Messages, their times, types and QoS and the run's facts are kept as they are; they stand in the order of their log
+    times, file after file.
+
+    Parameters
+    ----------
+    bag
+        A bag directory or a single MCAP file, cut off or damaged or not.
+    output
+        The bag to write: a directory that is not there yet.
+
+    Raises
+    ------
+    AbraceError
+        If there is no such bag, it has no message that can be read, or the new one can't be written.
+    """
+    warnings = missing_files(bag)
+    files = []
+    for path in bag_files(bag):
+        try:
+            files.append(McapFile(path, Wanted(lambda _: True)))
+        except AbraceError as error:
+            warnings.append(f"{error}; nothing is read of it")
+    for file in files:
+        warnings += file.warnings
+        if file.attachments:
+            warnings.append(f"{bag}: {file.attachments} attachments are left out")
+    types: dict[str, str] = {}
+    usable = [_usable(str(bag), file, types, warnings) for file in files]
+    found = (stream.count for file, numbers in zip(files, usable, strict=True) for stream in _streams(file, numbers))
+    if not any(found):
+        why = f" ({'; '.join(warnings)})" if warnings else ""
+        raise AbraceError(f"{bag}: no message in it that can be read{why}")
+    facts = next((file.facts for file in files if file.facts is not None), {})
+    counts: dict[str, int] = {}
+    topics: dict[str, int] = {}
+    with BagWriter(output, facts) as writer:
+        for file, numbers in zip(files, usable, strict=True):
+            messages = []
+            for number in numbers:
+                channel = file.channels[number]
+                if channel.topic not in topics:
+                    topics[channel.topic] = _add(writer, channel)
+                    counts[channel.topic] = 0
+                if number in file.streams:
+                    messages += [(topics[channel.topic], *message) for message in file.streams[number].messages()]
+                    counts[channel.topic] += file.streams[number].count
+            for topic_id, log_time, publish_time, payload in sorted(messages, key=lambda message: message[1]):
+                writer.write(topic_id, payload, log_time, publish_time)
+    return Recovered(counts, tuple(warnings))
+
+
+def _streams(file: McapFile, numbers: list[int]) -> list[Stream]:
+    return [file.streams[number] for number in numbers if number in file.streams]
+
+
+def _usable(bag: str, file: McapFile, types: dict[str, str], warnings: list[str]) -> list[int]:
+    """Numbers of the channels that our bags can hold, each topic of one type; the others are said."""
+    usable = []
+    for number, channel in file.channels.items():
+        encodings = (channel.message_encoding, channel.schema_encoding)
+        known = types.setdefault(channel.topic, channel.type_name)
+        if encodings != ("cdr", "ros2msg"):
+            said = f"is written as {encodings[0]!r} described by {encodings[1]!r}, expected 'cdr' by 'ros2msg'"
+        elif channel.type_name != known:
+            said = f"is {channel.type_name}, expected {known} as before"
+        else:
+            usable.append(number)
+            continue
+        warnings.append(f"{bag}: messages of topic {channel.topic} are left out: it {said}")
+    return usable
+
+
+def _add(writer: BagWriter, channel: Channel) -> int:
+    """Announce a topic as it was in the old bag."""
+    try:
+        profiles = yaml.safe_load(channel.details.get("offered_qos_profiles", ""))
+    except yaml.YAMLError:
+        profiles = None
+    qos = profiles[0] if isinstance(profiles, list) and profiles and isinstance(profiles[0], dict) else None
+    type_hash = channel.details.get("topic_type_hash", "")
+    return writer.add_topic(channel.topic, channel.type_name, channel.definition, type_hash, qos)
