@@ -1,7 +1,7 @@
 """Bags that are cut off or damaged: what is read of them is right, nearly all that is whole is read, the rest is said.
 
-A bag's file is cut at random lengths, and copies of it get one flipped bit at random places. Each is read; every message
-that comes must be one of the bag's. Whole are the messages of chunks that the damage does not touch.
+A bag's file is cut at random lengths, and copies of it get one flipped bit at random places. Each is read; every
+message that comes must be one of the bag's. Whole are the messages of chunks that the damage does not touch.
 
 damaged_files   files read: as many cut off as with a flipped bit
 tracebacks      reads that ended with another error than an AbraceError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +10,8 @@ import numpy as np
 from abrace_core.bag.reader import bag_files, read_topics
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from abrace_core.bag.reader import TopicArrays
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import itertools
+import math
 import re
 from typing import TYPE_CHECKING, Any
 
@@ -41,8 +42,9 @@ def columns(messages: TopicArrays) -> dict[str, NDArray[Any]]:
     for name, values in messages.fields.items():
         if values.dtype == object:
             raise AbraceError(f"{name} has not the same length in all messages, expected a table's columns")
-        for place in itertools.product(*map(range, values.shape[1:])):
-            found[name + "".join(f"[{number}]" for number in place)] = values[(slice(None), *place)]
+        places = itertools.product(*map(range, values.shape[1:]))
+        for place, column in zip(places, values.reshape(len(values), math.prod(values.shape[1:])).T, strict=True):
+            found[name + "".join(f"[{number}]" for number in place)] = column
     return found
 
 
@@ -86,8 +88,8 @@ def write_mat(path: Path | str, topics: Mapping[str, TopicArrays], facts: Mappin
         times = {"log_time": messages.log_time, "publish_time": messages.publish_time}
         _add(structs, topic, _struct({**times, **messages.fields}))
     _add(structs, "facts", _struct(facts))
-    with write_beside(path) as beside, beside.open("wb") as file:
-        savemat(file, structs, long_field_names=True, do_compression=True, oned_as="column")
+    with write_beside(path) as beside:
+        savemat(str(beside), structs, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
 
 
 def _struct(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -68,7 +68,7 @@ class BagContents(dict[str, TopicArrays]):
 def read_topics(
     bag: Path | str, topics: Collection[str] | None = None, begin: int | None = None, end: int | None = None
 ) -> BagContents:
-    """Read topics of a bag. Chunks in which nothing of what is asked for can be are not read, where the bag has an index.
+    """Read topics of a bag; where it has an index, only the chunks in which there is something of what is asked for.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def read_selected(
         except AbraceError as error:
             warnings.append(f"{bag}: topic {topic} is left out: {error}")
     if any(file.uncounted for file in files):
-        warnings += [f"{bag}: {_missing_messages(topic, found)}" for topic, found in contents.items()]
+        warnings += [f"{bag}: {missing_messages(topic, found)}" for topic, found in contents.items()]
     return BagContents(contents, facts, tuple(warnings))
 
 
@@ -159,8 +159,8 @@ def bag_files(bag: Path | str) -> list[Path]:
     return files
 
 
-def _missing_messages(topic: str, found: TopicArrays) -> str:
-    """What is known of messages that are missing where the bag's own count is lost."""
+def missing_messages(topic: str, found: TopicArrays) -> str:
+    """What is known of the messages of a `topic` that are missing beside those `found`, if the bag's count is lost."""
     sequence = found.fields.get("sequence")
     if sequence is None or sequence.dtype.kind not in "iu" or not sequence.size:
         return f"topic {topic}: how many messages are missing is not known"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import yaml
 
 from abrace_core.bag.mcap_file import McapFile
-from abrace_core.bag.reader import bag_files, missing_files
+from abrace_core.bag.reader import bag_files, missing_files, missing_messages, read_topics
 from abrace_core.bag.selection import Wanted
 from abrace_core.bag.writer import BagWriter
 from abrace_core.errors import AbraceError
@@ -86,6 +86,8 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
                     counts[channel.topic] += file.streams[number].count
             for topic_id, log_time, publish_time, payload in sorted(messages, key=lambda message: message[1]):
                 writer.write(topic_id, payload, log_time, publish_time)
+    if any(file.uncounted for file in files):
+        warnings += [f"{bag}: {missing_messages(topic, found)}" for topic, found in read_topics(output).items()]
     return Recovered(counts, tuple(warnings))
 
 

@@ -1,0 +1,113 @@
+"""Bags for people and other programs: description, CSV, MATLAB file, figure."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.io import loadmat
+
+from abrace_core.bag import BagWriter, TopicArrays, read_topics
+from abrace_core.bag.description import describe
+from abrace_core.bag.export import columns, write_csv, write_mat
+from abrace_core.bag.figure import bag_figure
+from abrace_core.errors import AbraceError
+
+RESPONSE = "abrace_interfaces/msg/Response"
+STRING = "std_msgs/msg/String"
+MSG = Path(__file__).parents[2] / "src/abrace_interfaces/msg/Response.msg"
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STORE.register(get_types_from_msg(MSG.read_text(), RESPONSE))
+TYPES: dict[str, Any] = dict(STORE.types)
+DEFINITIONS = {name: STORE.generate_msgdef(name, ros_version=2)[0] for name in (RESPONSE, STRING)}
+LOST = (4, 5, 9)
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """Twenty samples at 500 Hz of which three are lost, and two notes with commas and quotes."""
+    source = np.random.default_rng(3)
+    with BagWriter(tmp_path / "bag", {"rig": "ncree, three storeys", "sample_period": "0.002"}) as bag:
+        responses = bag.add_topic("/rig/response", RESPONSE, DEFINITIONS[RESPONSE], "")
+        notes = bag.add_topic("/note", STRING, DEFINITIONS[STRING], "")
+        for k in set(range(20)) - set(LOST):
+            x = source.normal(size=10)
+            header = TYPES["std_msgs/msg/Header"](TYPES["builtin_interfaces/msg/Time"](9, 2_000_000 * k), "table")
+            message = TYPES[RESPONSE](header, k, x[:3], x[3:6], x[6:7], x[7:8], x[8:9], x[9])
+            time = 1_700_000_000_000_000_000 + 2_000_000 * k
+            bag.write(responses, bytes(STORE.serialize_cdr(message, RESPONSE)), time, time)
+        for text in ('a "word", a comma', ""):
+            bag.write(notes, bytes(STORE.serialize_cdr(TYPES[STRING](data=text), STRING)), time, time)
+    return tmp_path / "bag"
+
+
+def test_description_counts_rates_and_gaps(bag: Path) -> None:
+    found = describe(bag)
+    note, response = found.topics
+    assert (response.name, response.type_name, response.count) == ("/rig/response", RESPONSE, 17)
+    assert (response.gaps, response.missing) == (2, 3)
+    assert response.rate == pytest.approx(16 / 0.038)
+    assert (note.count, note.rate, note.gaps, note.missing) == (2, 0.0, None, None)
+    assert found.duration == pytest.approx(0.038)
+    assert found.facts["sample_period"] == "0.002"
+    assert found.size == sum(path.stat().st_size for path in bag.glob("*.mcap"))
+    assert (found.files, found.warnings) == (1, ())
+
+
+def test_csv_keeps_every_digit(bag: Path, tmp_path: Path) -> None:
+    contents = read_topics(bag)
+    write_csv(tmp_path / "out.csv", contents["/rig/response"])
+    with (tmp_path / "out.csv").open(newline="") as file:
+        header, *rows = csv.reader(file)
+    assert header[:2] == ["log_time", "publish_time"]
+    assert "displacement[2]" in header
+    assert len(rows) == 17
+    for name, column in columns(contents["/rig/response"]).items():
+        text = [row[header.index(name)] for row in rows]
+        np.testing.assert_array_equal(np.array(text).astype(column.dtype), column)
+    write_csv(tmp_path / "note.csv", contents["/note"])
+    with (tmp_path / "note.csv").open(newline="") as file:
+        assert [row[2] for row in csv.reader(file)] == ["data", 'a "word", a comma', ""]
+
+
+def test_mat_has_every_value_under_names_that_matlab_takes(bag: Path, tmp_path: Path) -> None:
+    contents = read_topics(bag)
+    write_mat(tmp_path / "out.mat", contents, contents.facts)
+    found = loadmat(tmp_path / "out.mat", simplify_cells=True)
+    for name, values in contents["/rig/response"].fields.items():
+        read = found["rig_response"][name.replace(".", "_")]
+        np.testing.assert_array_equal(np.reshape(read, values.shape), values)
+    np.testing.assert_array_equal(found["rig_response"]["log_time"], contents["/rig/response"].log_time)
+    assert found["facts"]["rig"] == "ncree, three storeys"
+
+
+def arrays(**fields: Any) -> TopicArrays:
+    time = np.arange(3)
+    return TopicArrays("test_msgs/msg/Odd", {name: np.asarray(value) for name, value in fields.items()}, time, time)
+
+
+def test_what_no_table_can_hold_is_refused(tmp_path: Path) -> None:
+    ragged = np.empty(3, object)
+    ragged[:] = [np.zeros(1), np.zeros(2), np.zeros(1)]
+    with pytest.raises(AbraceError, match="values has not the same length in all messages"):
+        write_csv(tmp_path / "out.csv", arrays(values=ragged))
+    with pytest.raises(AbraceError, match="are both a_b in MATLAB"):
+        write_mat(tmp_path / "out.mat", {"/a/b": arrays(x=[1, 2, 3]), "/a_b": arrays(x=[1, 2, 3])}, {})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_figure_has_a_panel_for_each_quantity_that_changes(bag: Path) -> None:
+    figure = bag_figure(read_topics(bag, ["/rig/response"]))
+    titles = [axis.get_title(loc="left").removeprefix("/rig/response ") for axis in figure.axes]
+    quantities = ["displacement", "acceleration", "stroke", "force", "command", "ground_acceleration"]
+    assert titles == ["sequence", *quantities]
+    panel = figure.axes[1]
+    assert panel.get_ylabel() == "[m]"
+    assert len(panel.lines) == 3
+    np.testing.assert_allclose(panel.lines[0].get_xdata()[-1], 0.038, rtol=1e-12)
+    with pytest.raises(AbraceError, match=r"topics /note: nothing to draw"):
+        bag_figure(read_topics(bag, ["/note"]))
