@@ -120,19 +120,27 @@ class McapFile:
                 opcode, body = next_record(file, self._size)
                 if opcode != Opcode.CHUNK:
                     raise DamagedError("is not a chunk")
-                self._found.take(unpack(parse_chunk(body)), self._messages_said(file))
-        except (DamagedError, AbraceError):
+                chunk = parse_chunk(body)
+                self._unchecked += chunk.checksum == 0
+                self._found.take(unpack(chunk), self._messages_said(file))
+        except DamagedError:
+            self.facts, self._unchecked = None, 0
+            self.warnings.clear()
             return False
+        self._warn_of_unchecked()
         return True
 
     def _messages_said(self, file: BinaryIO) -> list[NDArray[np.int64]]:
         """Where the messages of the chunk begin that ends here, as the records behind it say."""
         said = []
-        opcode, body = next_record(file, self._size)
-        while opcode == Opcode.MESSAGE_INDEX:
-            said.append(_message_index(body))
-            opcode, body = next_record(file, self._size)
+        while file.read(1) == bytes([Opcode.MESSAGE_INDEX]):
+            file.seek(-1, os.SEEK_CUR)
+            said.append(_message_index(next_record(file, self._size)[1]))
         return said
+
+    def _warn_of_unchecked(self) -> None:
+        if self._unchecked:
+            self._warn(f"{self._unchecked} chunks have no checksum: damage in them would not be seen")
 
     def _read_all(self, file: BinaryIO, index: Index | None, trouble: str | None) -> None:
         checksum = zlib.crc32(MCAP0_MAGIC)
@@ -165,8 +173,7 @@ class McapFile:
         self._loose_messages(expected, checksum, file)
         if self._whole and expected not in (None, 0, checksum):
             self._warn("damaged between its chunks: the checksum over them does not fit")
-        if self._unchecked:
-            self._warn(f"{self._unchecked} chunks have no checksum: damage in them would not be seen")
+        self._warn_of_unchecked()
         self._count(index)
 
     def _data_record(self, offset: int, opcode: int, body: bytes) -> None:

@@ -103,9 +103,9 @@ class Selection:
             raise DamagedError("holds a message that is too short")
         channel = np.ndarray((len(data) - 1,), "<u2", data, strides=(1,))[start + RECORD_HEAD.size]
         inside = self._inside(data, start)
-        numbers, counts = np.unique(channel, return_counts=True)
-        for number, count in zip(numbers.tolist(), counts.tolist(), strict=True):
-            self.counts[number] = self.counts.get(number, 0) + count
+        counts = np.bincount(channel)
+        for number in np.flatnonzero(counts).tolist():
+            self.counts[number] = self.counts.get(number, 0) + int(counts[number])
             described = self.descriptions.channels.get(number)
             if described is not None and not self.wanted.channel(described):
                 continue
