@@ -1,11 +1,12 @@
-"""One chunk of an MCAP file: unpacked, its checksum checked, and where the records in it begin."""
+"""One chunk of an MCAP file: found, unpacked, its checksum checked, and where the records in it begin."""
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
@@ -18,8 +19,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-CHUNK_HEAD = struct.Struct("<BQQQQI")
+_HEAD = struct.Struct("<BQQQQI")
 """What a chunk's record begins with: opcode, length, times of the first and the last message, size, checksum."""
+_PATTERN = re.compile(rb"(?=\x06.{5}\0{3}.{28}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4}).{8})", re.DOTALL)
+_LONGEST_HEAD = 64
+_SEARCH_SIZE = 1 << 22
+"""Bytes in which a chunk is looked for at a time."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +123,38 @@ def unpack_beginning(chunk: Chunk) -> bytes:
             break
         end = record_end
     return data[:end]
+
+
+def find_chunk(file: BinaryIO, begin: int, size: int) -> int | None:
+    """Where the next chunk is that looks whole.
+
+    Parameters
+    ----------
+    file
+        Where to look.
+    begin
+        From where on.
+    size
+        Of the file.
+    """
+    while begin < size:
+        file.seek(begin)
+        searched = file.read(_SEARCH_SIZE)
+        for found in _PATTERN.finditer(searched):
+            place = begin + found.start()
+            if _lengths_fit(searched[found.start() : found.start() + _LONGEST_HEAD], size - place):
+                return place
+        last = begin + len(searched) >= size
+        begin += len(searched) if last else len(searched) - _LONGEST_HEAD
+    return None
+
+
+def _lengths_fit(head: bytes, left: int) -> bool:
+    """Whether the lengths in a chunk's head fit each other and the bytes left of the file."""
+    length = _HEAD.unpack_from(head)[1]
+    fields = RecordFields(head[_HEAD.size :])
+    name = fields.take(fields.number(4))
+    return 40 + len(name) + fields.number(8) == length <= left - RECORD_HEAD.size
 
 
 def record_starts(data: bytes, said: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:

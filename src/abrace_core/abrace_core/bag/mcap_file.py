@@ -8,7 +8,6 @@ range of time are asked for, only the chunks that the index names for them are r
 from __future__ import annotations
 
 import os
-import re
 import zlib
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -16,7 +15,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from abrace_core.bag.chunks import CHUNK_HEAD, Chunk, parse_chunk, unpack, unpack_beginning
+from abrace_core.bag.chunks import Chunk, find_chunk, parse_chunk, unpack, unpack_beginning
 from abrace_core.bag.mcap_index import Index, read_index
 from abrace_core.bag.mcap_records import (
     FACTS_RECORD,
@@ -37,9 +36,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _DATA_END_SIZE = RECORD_HEAD.size + 4
-_SEARCH_SIZE = 1 << 22
-"""Bytes in which the next chunk is looked for at a time."""
-_CHUNK = re.compile(rb"(?=\x06.{5}\0{3}.{28}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4}).{8})", re.DOTALL)
 
 
 class McapFile:
@@ -115,8 +111,8 @@ class McapFile:
             for offset in index.metadata.get(FACTS_RECORD, []):
                 file.seek(offset)
                 self._metadata(next_record(file, self._size)[1])
-            for chunk in needed:
-                file.seek(chunk.offset)
+            for place in needed:
+                file.seek(place.offset)
                 opcode, body = next_record(file, self._size)
                 if opcode != Opcode.CHUNK:
                     raise DamagedError("is not a chunk")
@@ -239,22 +235,7 @@ class McapFile:
         if index is not None:
             places = [chunk.offset for chunk in index.chunks] + [index.begin - _DATA_END_SIZE]
             return next((place for place in places if place > offset), None)
-        place = offset + 1
-        while place < self._size:
-            file.seek(place)
-            searched = file.read(_SEARCH_SIZE)
-            for found in _CHUNK.finditer(searched):
-                if self._is_chunk(searched[found.start() : found.start() + 64], self._size - place - found.start()):
-                    return place + found.start()
-            place += max(len(searched) - 64, 1) if place + len(searched) < self._size else len(searched)
-        return None
-
-    def _is_chunk(self, head: bytes, left: int) -> bool:
-        """Whether the lengths in a chunk's head fit each other and the file."""
-        length = CHUNK_HEAD.unpack_from(head)[1]
-        fields = RecordFields(head[CHUNK_HEAD.size :])
-        name = fields.take(fields.number(4))
-        return 40 + len(name) + fields.number(8) == length <= left - RECORD_HEAD.size
+        return find_chunk(file, offset + 1, self._size)
 
     def _cut_chunk(self, file: BinaryIO, offset: int) -> None:
         """Take what is there of the chunk in which the file ends."""
