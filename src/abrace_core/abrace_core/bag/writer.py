@@ -1,4 +1,4 @@
-"""Writes a bag: an MCAP file and its metadata.yaml, in rosbag2's layout, message by message."""
+"""Writes a bag: MCAP files and their metadata.yaml, in rosbag2's layout, message by message."""
 
 from __future__ import annotations
 
@@ -6,76 +6,49 @@ import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-from mcap.writer import CompressionType, Writer
+from mcap.records import Channel, Schema
 
 from abrace_core.bag.mcap_records import CHECKSUM_KEY, FACTS_RECORD, facts_checksum
+from abrace_core.bag.mcap_writer import McapWriter
+from abrace_core.bag.open_chunk import compressor
+from abrace_core.bag.rosbag2 import DEFAULT_QOS, METADATA_FILE, FileSpan, bag_information, offered_qos, yaml_text
+from abrace_core.bag.tally import TALLY_RECORD, Tally, is_numbered, tally_texts
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
     from types import TracebackType
     from typing import Self
 
-CHUNK_SIZE = 64 * 1024
-"""Bytes of messages in a chunk [before compression]: what a process that is killed may lose."""
+    from mcap.records import Attachment
 
-_METADATA_VERSION = 9
-_ROS_DISTRO = "jazzy"
-_LATEST = 2**63 - 1
-_FOREVER = {"sec": _LATEST // 10**9, "nsec": _LATEST % 10**9}
-_DEFAULT_QOS = {
-    "history": "keep_last",
-    "depth": 10,
-    "reliability": "reliable",
-    "durability": "volatile",
-    "deadline": _FOREVER,
-    "lifespan": _FOREVER,
-    "liveliness": "automatic",
-    "liveliness_lease_duration": _FOREVER,
-    "avoid_ros_namespace_conventions": False,
-}
-
-
-def offered_qos(profile: Any) -> dict[str, Any]:
-    """A QoS profile as bags tell it, for `BagWriter.add_topic`.
-
-    Parameters
-    ----------
-    profile
-        An `rclpy.qos.QoSProfile`.
-    """
-    return {
-        "history": profile.history.short_key,
-        "depth": profile.depth,
-        "reliability": profile.reliability.short_key,
-        "durability": profile.durability.short_key,
-        "deadline": _duration(profile.deadline),
-        "lifespan": _duration(profile.lifespan),
-        "liveliness": profile.liveliness.short_key,
-        "liveliness_lease_duration": _duration(profile.liveliness_lease_duration),
-        "avoid_ros_namespace_conventions": profile.avoid_ros_namespace_conventions,
-    }
-
-
-def _duration(duration: Any) -> dict[str, int]:
-    seconds, nanoseconds = divmod(duration.nanoseconds, 10**9)
-    return {"sec": seconds, "nsec": nanoseconds}
+__all__ = ["BagWriter", "offered_qos"]
 
 
 class BagWriter:
     """A bag that is being written.
 
     Everything up to the last `flush` is readable after the process was killed, without `metadata.yaml`, which `close`
-    writes. Leaving a `with` block closes the bag.
+    writes. Leaving a `with` block closes the bag. A message's number in the file counts those of its topic from 1, over
+    all files.
 
     Parameters
     ----------
     directory
         The bag: a directory that is not there yet.
     facts
-        What is to be known of the run: rig, controller, record, versions. Written first of all.
+        What is to be known of the run: rig, controller, record. Written first in each file.
+    records
+        Further metadata records by name, texts by key: versions, parameters.
+    attachments
+        Files of the run (`file_attachments`), for the first file.
+    compression
+        Of the chunks: `zstd`, `lz4` or `none`.
+    split_size
+        Bytes after which the next file begins; 0: never.
+    split_duration
+        Seconds after which the next file begins; 0: never.
 
     Raises
     ------
@@ -83,39 +56,41 @@ class BagWriter:
         If the directory is there already or can't be made.
     """
 
-    def __init__(self, directory: Path | str, facts: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        directory: Path | str,
+        facts: Mapping[str, str],
+        *,
+        records: Mapping[str, Mapping[str, str]] | None = None,
+        attachments: Sequence[Attachment] = (),
+        compression: str = "zstd",
+        split_size: int = 0,
+        split_duration: float = 0.0,
+    ) -> None:
         if CHECKSUM_KEY in facts:
             raise AbraceError(f"a run's facts can't have the name {CHECKSUM_KEY!r}")
         self.directory = Path(directory)
         self._facts = dict(facts)
-        self._schemas: dict[str, int] = {}
+        self._records = dict(records or {})
+        self._compression = compression
+        self._split_size = split_size
+        self._split_duration = round(split_duration * 1e9)
+        self._schemas: dict[str, Schema] = {}
+        self._channels: dict[int, Channel] = {}
         self._topics: dict[int, dict[str, Any]] = {}
-        self._counts: dict[int, int] = {}
-        self._first_time = _LATEST
-        self._last_time = 0
-        self._path = self.directory / f"{self.directory.name}_0.mcap"
+        self._tallies: dict[int, Tally] = {}
+        self._files: list[FileSpan] = []
         try:
             self.directory.mkdir(parents=True)
-            self._file = self._path.open("xb")
         except FileExistsError as error:
             raise AbraceError(f"bag {self.directory} exists already, expected a new directory") from error
         except OSError as error:
             raise self._failure(error) from error
-        self._writer = Writer(
-            self._file,
-            chunk_size=CHUNK_SIZE,
-            compression=CompressionType.ZSTD,
-            enable_crcs=True,
-            enable_data_crcs=True,
-        )
-        try:
-            self._writer.start("ros2", "abrace")
-            self._writer.add_metadata(FACTS_RECORD, {**self._facts, CHECKSUM_KEY: facts_checksum(self._facts)})
-            self._write_information()
+        self._open_file()
+        with self._failing():
+            for attachment in attachments:
+                self._file.add_attachment(attachment)
             self._file.flush()
-        except OSError as error:
-            self._abandon()
-            raise self._failure(error) from error
 
     def __enter__(self) -> Self:
         return self
@@ -126,7 +101,7 @@ class BagWriter:
         self.close()
 
     def add_topic(
-        self, name: str, type_name: str, definition_text: str, type_hash: str, qos: Mapping[str, Any] | None = None
+        self, name: str, type_name: str, definition_text: str, type_hash: str, *qos: Mapping[str, Any]
     ) -> int:
         """Announce a topic.
 
@@ -139,7 +114,8 @@ class BagWriter:
         definition_text, type_hash
             As `message_definition` finds them.
         qos
-            Its QoS in rosbag2's words (`offered_qos`); what is not named is as for a reliable topic of depth 10.
+            What each of its publishers offers, in rosbag2's words (`offered_qos`); what is not named is as for a
+            reliable topic of depth 10.
 
         Returns
         -------
@@ -153,20 +129,33 @@ class BagWriter:
         """
         if any(topic["name"] == name for topic in self._topics.values()):
             raise AbraceError(f"bag {self.directory}: topic {name} is in it already")
-        profile = {**_DEFAULT_QOS, **(qos or {})}
-        unknown = sorted(set(profile) - set(_DEFAULT_QOS))
+        profiles = [{**DEFAULT_QOS, **profile} for profile in qos or ({},)]
+        unknown = sorted({word for profile in profiles for word in profile} - set(DEFAULT_QOS))
         if unknown:
             raise AbraceError(f"bag {self.directory}: topic {name}: unknown QoS {unknown[0]!r}")
+        numbered = is_numbered(definition_text)
         if type_name not in self._schemas:
-            self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", definition_text.encode())
-        details = {"offered_qos_profiles": _yaml([profile]).rstrip(), "topic_type_hash": type_hash}
-        topic_id = self._writer.register_channel(name, "cdr", self._schemas[type_name], details)
-        self._counts[topic_id] = 0
+            schema = Schema(
+                id=len(self._schemas) + 1, name=type_name, encoding="ros2msg", data=definition_text.encode()
+            )
+            self._schemas[type_name] = schema
+            self._file.add_schema(schema)
+        topic_id = len(self._channels) + 1
+        channel = Channel(
+            id=topic_id,
+            topic=name,
+            message_encoding="cdr",
+            schema_id=self._schemas[type_name].id,
+            metadata={"offered_qos_profiles": yaml_text(profiles).rstrip(), "topic_type_hash": type_hash},
+        )
+        self._channels[topic_id] = channel
+        self._file.add_channel(channel)
+        self._tallies[topic_id] = Tally(numbered)
         self._topics[topic_id] = {
             "name": name,
             "type": type_name,
             "serialization_format": "cdr",
-            "offered_qos_profiles": [profile],
+            "offered_qos_profiles": profiles,
             "type_description_hash": type_hash,
         }
         return topic_id
@@ -190,16 +179,41 @@ class BagWriter:
         """
         if log_time_ns < 0 or publish_time_ns < 0:
             raise AbraceError(f"bag {self.directory}: message at {log_time_ns} ns, published at {publish_time_ns} ns")
+        if self._full(log_time_ns):
+            self.split()
+        tally, span = self._tallies[topic_id], self._span
         try:
-            self._writer.add_message(topic_id, log_time_ns, payload, publish_time_ns)
+            self._file.add_message(topic_id, tally.messages + 1, payload, log_time_ns, publish_time_ns)
         except OSError as error:
-            self._abandon()
+            self._file.abandon()
             raise self._failure(error) from error
-        self._counts[topic_id] += 1
-        if log_time_ns > self._last_time:
-            self._last_time = log_time_ns
-        if log_time_ns < self._first_time:
-            self._first_time = log_time_ns
+        tally.count(payload)
+        span.counts[topic_id] = span.counts.get(topic_id, 0) + 1
+        if log_time_ns > span.last_time:
+            span.last_time = log_time_ns
+        if log_time_ns < span.first_time:
+            span.first_time = log_time_ns
+
+    def interrupt(self) -> None:
+        """What is left out from here to the next message of each topic is left out on purpose: no gap of `sequence`."""
+        for tally in self._tallies.values():
+            tally.last = None
+
+    def add_lost(self, topic_id: int, lost: int) -> None:
+        """Say how many more messages of a topic were lost.
+
+        Parameters
+        ----------
+        topic_id
+            From `add_topic`.
+        lost
+            Messages that were published and did not come to `write`.
+        """
+        self._tallies[topic_id].lost += lost
+
+    def tallies(self) -> dict[str, Tally]:
+        """Messages, gaps and losses until now, by topic."""
+        return {topic["name"]: self._tallies[number] for number, topic in self._topics.items()}
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system: it is then readable, come what may to this process.
@@ -211,11 +225,19 @@ class BagWriter:
         AbraceError
             If the file can't be written: the bag is then closed as it is.
         """
-        try:
-            self._writer.flush()
-        except OSError as error:
-            self._abandon()
-            raise self._failure(error) from error
+        with self._failing():
+            self._file.flush()
+
+    def split(self) -> None:
+        """Finish the file and go on in the next one.
+
+        Raises
+        ------
+        AbraceError
+            If a file can't be written: the bag is then closed as it is.
+        """
+        self._finish_file()
+        self._open_file()
 
     def close(self) -> None:
         """Finish the file and write metadata.yaml. Closing again does nothing.
@@ -227,57 +249,71 @@ class BagWriter:
         """
         if self._file.closed:
             return
+        with self._failing():
+            self._file.flush()
+            self._file.add_metadata(TALLY_RECORD, tally_texts(self.tallies()))
+        self._finish_file()
+        information = bag_information(self._topics, self._files, self._facts)
+        write_text(self.directory / METADATA_FILE, yaml_text({"rosbag2_bagfile_information": information}))
+
+    @property
+    def file(self) -> Path:
+        """The file that is being written."""
+        return self.directory / self._span.name
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing more can be written, after `close` or a failure."""
+        return self._file.closed
+
+    @property
+    def _span(self) -> FileSpan:
+        return self._files[-1]
+
+    def _full(self, time: int) -> bool:
+        """Whether a message that arrived at this time [ns] belongs into the next file."""
+        if self._split_size and self._file.size >= self._split_size:
+            return True
+        return self._split_duration > 0 and time - self._span.first_time >= self._split_duration
+
+    def _open_file(self) -> None:
+        """Begin the next file with what each file holds."""
+        span = FileSpan(f"{self.directory.name}_{len(self._files)}.mcap", counts=dict.fromkeys(self._topics, 0))
         try:
-            self._writer.flush()
-            self._write_information()
-            self._writer.finish()
-            self._file.close()
+            self._file = McapWriter(self.directory / span.name, self._compression)
         except OSError as error:
-            self._abandon()
             raise self._failure(error) from error
-        write_text(self.directory / "metadata.yaml", _yaml({"rosbag2_bagfile_information": self._information()}))
+        self._files.append(span)
+        with self._failing():
+            self._file.add_metadata(FACTS_RECORD, {**self._facts, CHECKSUM_KEY: facts_checksum(self._facts)})
+            for name, texts in self._records.items():
+                self._file.add_metadata(name, texts)
+            self._write_information()
+            for schema in self._schemas.values():
+                self._file.add_schema(schema)
+            for channel in self._channels.values():
+                self._file.add_channel(channel)
+            self._file.flush()
+
+    def _finish_file(self) -> None:
+        with self._failing():
+            self._file.flush()
+            self._write_information()
+            self._file.finish(self._span)
 
     def _write_information(self) -> None:
-        """What metadata.yaml says, in the file itself: rosbag2 reads a single file by it."""
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": _yaml(self._information()).rstrip()})
+        """What metadata.yaml would say of this file alone, in the file itself: rosbag2 reads a single file by it."""
+        information = bag_information(self._topics, [self._span], self._facts)
+        self._file.add_metadata("rosbag2", {"serialized_metadata": yaml_text(information).rstrip()})
 
-    def _information(self) -> dict[str, Any]:
-        """The bag's description in the words of rosbag2's metadata.yaml."""
-        count = sum(self._counts.values())
-        duration = {"nanoseconds": max(self._last_time - self._first_time, 0)}
-        start = {"nanoseconds_since_epoch": self._first_time}
-        return {
-            "version": _METADATA_VERSION,
-            "storage_identifier": "mcap",
-            "duration": duration,
-            "starting_time": start,
-            "message_count": count,
-            "topics_with_message_count": [
-                {"topic_metadata": topic, "message_count": self._counts[topic_id]}
-                for topic_id, topic in self._topics.items()
-            ],
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [self._path.name],
-            "files": [{"path": self._path.name, "starting_time": start, "duration": duration, "message_count": count}],
-            "custom_data": self._facts or None,
-            "ros_distro": _ROS_DISTRO,
-        }
-
-    def _abandon(self) -> None:
-        with contextlib.suppress(OSError):
-            self._file.close()
+    @contextlib.contextmanager
+    def _failing(self) -> Iterator[None]:
+        """What goes wrong with the file closes it as it is."""
+        try:
+            yield
+        except OSError as error:
+            self._file.abandon()
+            raise self._failure(error) from error
 
     def _failure(self, error: OSError) -> AbraceError:
         return AbraceError(f"cannot write bag {self.directory}: {error.strerror}")
-
-
-class _Dumper(yaml.SafeDumper):
-    """YAML without anchors, which rosbag2 doesn't write."""
-
-    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002
-        return True
-
-
-def _yaml(content: Any) -> str:
-    return str(yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=2**16))

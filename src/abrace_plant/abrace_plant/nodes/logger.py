@@ -3,26 +3,41 @@
 from __future__ import annotations
 
 import importlib
+import json
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from std_srvs.srv import Trigger
 
 from abrace_core.bag import BagWriter, message_definition, offered_qos
+from abrace_core.bag.attachments import file_attachments
+from abrace_core.bag.snapshot import Snapshot
+from abrace_core.bag.topic_choice import TopicChoice
+from abrace_core.bag.versions import installed_versions
+from abrace_core.bag.writing_thread import WritingThread
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceNode, Parameter, RCLError, rcl_message, run
 
 PARAMETERS = [
     Parameter("output", "", "bag (a new directory) to write", required=True),
-    Parameter(
-        "topics", ["response", "brace_command", "ground_motion", "diagnostics"], "topics to record", required=True
-    ),
+    Parameter("topics", ["response", "brace_command", "ground_motion", "diagnostics"], "topics to record, by name"),
+    Parameter("pattern", "", "regular expression: topics are recorded too in whose full names it is found"),
+    Parameter("all", False, "record all topics but hidden ones"),
     Parameter("facts", [], "facts of the run, each as key=value, written into the bag", element=str),
+    Parameter("attachments", [], "files of the run that go into the bag: rig, model, controller, record", element=str),
+    Parameter("compression", "zstd", "of each chunk", choices=("zstd", "lz4", "none")),
+    Parameter("split_size", 0, "bytes after which the next file begins; 0: one file", minimum=0),
+    Parameter("split_duration", 0.0, "s after which the next file begins; 0: one file", minimum=0.0),
+    Parameter("snapshot", 0.0, "s to keep in memory, written on `~/snapshot` alone; 0: write all", minimum=0.0),
+    Parameter("autostart", True, "record at once; false: wait for `~/start`"),
     Parameter("flush_interval", 0.1, "s between flushes: what a killed logger may lose", minimum=0.01, maximum=10.0),
 ]
 
@@ -32,6 +47,8 @@ TAKE_PERIOD = 0.005
 """Seconds between looks for messages, which the middleware has taken in; a callback for each would cost more."""
 DEPTH = 5000
 """Messages that may wait for the logger on each topic: ten seconds of samples."""
+MOST_AT_ONCE = 500
+"""Messages taken of a topic before the others' turn: in a flood, too, the logger answers and can be stopped."""
 
 
 @dataclass
@@ -44,10 +61,12 @@ class Recorded:
         Whose messages are taken here, not by an executor.
     topic_id
         In the bag.
+    type_name
+        Of its messages.
     publishers
         The most that there were at a time.
     count
-        Messages written.
+        Messages taken for the bag.
     last
         The middleware's number of the last message; 0: none yet.
     skipped
@@ -56,6 +75,7 @@ class Recorded:
 
     subscription: Subscription
     topic_id: int
+    type_name: str
     publishers: int
     count: int = 0
     last: int = 0
@@ -65,6 +85,11 @@ class Recorded:
     def lost(self) -> int:
         """Messages lost, where one publisher alone has numbered them."""
         return self.skipped if self.publishers == 1 else 0
+
+    @property
+    def latched(self) -> bool:
+        """Whether what was said once holds on: it is recorded while the logger pauses, too."""
+        return self.subscription.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
 
 class Logger(AbraceNode):
@@ -76,14 +101,20 @@ class Logger(AbraceNode):
     def __init__(self) -> None:
         super().__init__("logger", PARAMETERS)
         given = self.parameters
-        facts = dict(_fact(text) for text in given.facts)
-        self.recorded: dict[str, Recorded] = {}
-        self.matched = 0
+        self.facts = dict(_fact(text) for text in given.facts)
         try:
-            self.missing = {self.resolve_topic_name(topic): topic for topic in given.topics}
+            self.given_names = {self.resolve_topic_name(topic): topic for topic in given.topics if topic}
         except RCLError as error:
             raise AbraceError(f"parameter topics: {given.topics}, {rcl_message(error)}") from error
-        self.bag = BagWriter(given.output, facts)
+        self.choice = TopicChoice(frozenset(self.given_names), given.pattern, given.all)
+        self.attachments = file_attachments([Path(path) for path in given.attachments])
+        self.recorded: dict[str, Recorded] = {}
+        self.complaints: dict[str, str] = {}
+        self.writing: WritingThread | None = None
+        self.snapshot = Snapshot(given.snapshot) if given.snapshot else None
+        self.paused = False
+        self.bags = 0
+        self.matched = 0
         self.input = rclpy.create_node(
             f"_{self.get_name()}_input",
             namespace=self.get_namespace(),
@@ -91,104 +122,288 @@ class Logger(AbraceNode):
             enable_rosout=False,
             start_parameter_services=False,
         )
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(LOOK_FOR_TOPICS, self.look_for_topics, clock=steady)
-        self.create_timer(given.flush_interval, self.flush, clock=steady)
+        if given.autostart:
+            self.start()
+        for name in ("start", "stop", "pause", "resume", "split", "snapshot"):
+            self.create_service(Trigger, f"~/{name}", getattr(self, f"on_{name}"))
+        self.create_timer(LOOK_FOR_TOPICS, self.look_for_topics, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.due = time.monotonic()
 
+    def start(self) -> Path:
+        """Open the bag, or after a stop the next one."""
+        given = self.parameters
+        directory = Path(given.output)
+        if self.bags:
+            directory = directory.with_name(f"{directory.name}_{self.bags + 1}")
+        records = {
+            "abrace_versions": installed_versions(),
+            "abrace_logger": {parameter.name: json.dumps(getattr(given, parameter.name)) for parameter in PARAMETERS},
+        }
+        bag = BagWriter(
+            directory,
+            self.facts,
+            records=records,
+            attachments=self.attachments,
+            compression=given.compression,
+            split_size=given.split_size,
+            split_duration=given.split_duration,
+        )
+        self.writing = WritingThread(bag, given.flush_interval)
+        self.bags += 1
+        self.paused = False
+        return directory
+
+    def stop(self) -> str:
+        """Take what is still there and close the bag; returns what there is to say of it."""
+        writing = self.open_bag()
+        try:
+            for topic in self.recorded.values():
+                self.take(topic, DEPTH)
+            with writing.bag() as bag:
+                directory = bag.directory
+                for topic in self.recorded.values():
+                    bag.add_lost(topic.topic_id, topic.lost)
+            writing.close()
+            tallies = bag.tallies()
+        finally:
+            self.writing = None
+            for topic in self.recorded.values():
+                self.input.destroy_subscription(topic.subscription)
+            self.recorded = {}
+        shown = {self.given_names.get(name, name): tally for name, tally in tallies.items()}
+        lost = ", ".join(f"{tally.lost} of {name}" for name, tally in shown.items() if tally.lost)
+        if lost:
+            print(f"logger: LOST {lost}", file=sys.stderr, flush=True)
+        counts = ", ".join(f"{tally.messages} of {name}" for name, tally in shown.items())
+        return f"wrote {directory}: {counts or 'nothing came'}"
+
+    def open_bag(self) -> WritingThread:
+        """What writes the bag."""
+        if self.writing is None:
+            raise AbraceError("nothing is being recorded, expected ~/start before")
+        return self.writing
+
     def look_for_topics(self) -> None:
-        """Subscribe to the topics that have appeared."""
-        for name, given_name in list(self.missing.items()):
+        """Subscribe to topics that have appeared, and anew to those that offer less than before."""
+        if self.writing is None or self.exit_code is not None:
+            return
+        there = dict(self.get_topic_names_and_types())
+        for name in sorted(self.choice.of(there)):
+            topic = self.recorded.get(name)
+            known = topic is not None and topic.subscription.get_publisher_count() == self.count_publishers(name)
+            if name in self.complaints or (known and len(there[name]) == 1):
+                continue
             publishers = self.get_publishers_info_by_topic(name)
-            if publishers:
-                del self.missing[name]
-                try:
-                    self.record(name, given_name, publishers)
-                except AbraceError as error:
-                    self.finish(1, str(error))
+            if not publishers:
+                continue
+            try:
+                if topic is None:
+                    self.record(name, publishers)
+                else:
+                    self.follow(name, topic, publishers)
+            except AbraceError as error:
+                self.complain(name, error)
         matched = 0
         for topic in self.recorded.values():
-            publishers = topic.subscription.get_publisher_count()
-            topic.publishers = max(topic.publishers, publishers)
-            matched += publishers
+            count = topic.subscription.get_publisher_count()
+            topic.publishers = max(topic.publishers, count)
+            matched += count
         if matched != self.matched:
             self.matched = matched
             self.publish_diagnostics()
 
-    def record(self, name: str, given_name: str, publishers: list[TopicEndpointInfo]) -> None:
+    def complain(self, name: str, error: AbraceError) -> None:
+        """A topic that was asked for by name and can't be recorded ends the logger; any other trouble is told."""
+        if name in self.given_names and name not in self.recorded:
+            self.finish(1, str(error))
+            return
+        self.complaints[name] = str(error)
+        print(f"logger: {error}", file=sys.stderr, flush=True)
+        self.publish_diagnostics()
+
+    def record(self, name: str, publishers: list[TopicEndpointInfo]) -> None:
         """Subscribe to a topic as its publishers offer it."""
-        types = {publisher.topic_type for publisher in publishers}
-        if len(types) > 1:
-            raise AbraceError(f"topic {name}: has the types {', '.join(sorted(types))}, expected one")
-        definition = message_definition(types.pop())
-        package, _, type_name = definition.type_name.split("/")
-        message_type = getattr(importlib.import_module(f"{package}.msg"), type_name)
-        offered = [publisher.qos_profile for publisher in publishers]
-        reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
-        kept = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
-        qos = QoSProfile(
-            depth=DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
-        )
-        topic_id = self.bag.add_topic(
-            name, definition.type_name, definition.text, definition.type_hash, offered_qos(offered[0])
-        )
-        subscription = self.input.create_subscription(message_type, name, _never_called, qos, raw=True)
-        self.recorded[given_name] = Recorded(subscription, topic_id, len(publishers))
+        definition = message_definition(_only_type(name, publishers))
+        offered = [offered_qos(publisher.qos_profile) for publisher in publishers]
+        subscription = self.subscribe(name, definition.type_name, _matching_qos(publishers))
+        with self.open_bag().bag() as bag:
+            topic_id = bag.add_topic(name, definition.type_name, definition.text, definition.type_hash, *offered)
+        self.recorded[name] = Recorded(subscription, topic_id, definition.type_name, len(publishers))
+
+    def follow(self, name: str, topic: Recorded, publishers: list[TopicEndpointInfo]) -> None:
+        """Subscribe anew where a publisher has come that offers less than the subscription asks for."""
+        _only_type(name, publishers)
+        old = topic.subscription
+        qos, before = _matching_qos(publishers), old.qos_profile
+        less_reliable = before.reliability == ReliabilityPolicy.RELIABLE != qos.reliability
+        less_kept = before.durability == DurabilityPolicy.TRANSIENT_LOCAL != qos.durability
+        if not (less_reliable or less_kept):
+            return
+        new = self.subscribe(name, topic.type_name, qos)
+        self.take(topic, DEPTH)
+        topic.subscription = new
+        self.input.destroy_subscription(old)
+
+    def subscribe(self, name: str, type_name: str, qos: QoSProfile) -> Subscription:
+        """A subscription whose messages are taken by `take`."""
+        package, _, short_name = type_name.split("/")
+        try:
+            message_type = getattr(importlib.import_module(f"{package}.msg"), short_name)
+        except (ImportError, AttributeError) as error:
+            raise AbraceError(f"topic {name}: message type {type_name} is not installed for Python") from error
+        return self.input.create_subscription(message_type, name, _never_called, qos, raw=True)
 
     def tick(self) -> None:
-        """Write what has come."""
+        """Take what has come."""
         self.due = time.monotonic() + TAKE_PERIOD
+        if self.writing is None:
+            return
         try:
+            self.writing.check()
             for topic in self.recorded.values():
-                self.take(topic)
+                if self.take(topic, MOST_AT_ONCE) == MOST_AT_ONCE:
+                    self.due = time.monotonic()
         except AbraceError as error:
             self.finish(1, str(error))
 
-    def take(self, topic: Recorded) -> None:
-        """Write a topic's messages that have come."""
-        write, topic_id, message_type = self.bag.write, topic.topic_id, topic.subscription.msg_type
-        handle = topic.subscription.handle
+    def take(self, topic: Recorded, most: int) -> int:
+        """Take a topic's messages that have come, `most` of them; returns how many those were."""
+        write = self.open_bag().write if self.snapshot is None else self.snapshot.write
+        wanted = not self.paused or topic.latched
+        topic_id, message_type, handle = topic.topic_id, topic.subscription.msg_type, topic.subscription.handle
         with handle:
-            while (taken := handle.take_message(message_type, True)) is not None:
+            for number in range(most):
+                taken = handle.take_message(message_type, True)
+                if taken is None:
+                    return number
                 payload, info = taken
-                write(topic_id, payload, info["received_timestamp"], info["source_timestamp"])
-                topic.count += 1
-                number = info["publication_sequence_number"]
-                if topic.last and number > topic.last + 1:
-                    topic.skipped += number - topic.last - 1
-                topic.last = number
+                if wanted:
+                    write(topic_id, payload, info["received_timestamp"], info["source_timestamp"])
+                    topic.count += 1
+                published = info["publication_sequence_number"]
+                if topic.last and published > topic.last + 1:
+                    topic.skipped += published - topic.last - 1
+                topic.last = published
+        return most
 
-    def flush(self) -> None:
-        """Make everything so far outlive this process."""
+    def on_start(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Open a bag."""
+
+        def step() -> str:
+            if self.writing is not None:
+                raise AbraceError("a bag is being recorded already")
+            return f"recording {self.start()}"
+
+        return self.answer(response, step)
+
+    def on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Close the bag; the node stays, for another start."""
+        return self.answer(response, self.stop)
+
+    def on_pause(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Leave out what comes from here on."""
+
+        def step() -> str:
+            self.open_bag()
+            self.tick()
+            self.paused = True
+            return "paused"
+
+        return self.answer(response, step)
+
+    def on_resume(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Record again."""
+
+        def step() -> str:
+            writing = self.open_bag()
+            if self.paused:
+                self.tick()
+                self.paused = False
+                with writing.bag() as bag:
+                    bag.interrupt()
+            return "recording"
+
+        return self.answer(response, step)
+
+    def on_split(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Go on in the next file."""
+
+        def step() -> str:
+            self.tick()
+            with self.open_bag().bag() as bag:
+                bag.split()
+                return f"recording {bag.file}"
+
+        return self.answer(response, step)
+
+    def on_snapshot(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Write what is in memory."""
+
+        def step() -> str:
+            if self.snapshot is None:
+                raise AbraceError("parameter snapshot is 0: everything is written at once")
+            self.tick()
+            with self.open_bag().bag() as bag:
+                return f"wrote {self.snapshot.hand_to(bag)} messages to {bag.file}"
+
+        return self.answer(response, step)
+
+    def answer(self, response: Trigger.Response, step: Callable[[], str]) -> Trigger.Response:
+        """Answer a service with what a step says, or why it was not taken."""
         try:
-            self.bag.flush()
+            response.message, response.success = step(), True
         except AbraceError as error:
-            self.finish(1, str(error))
+            response.message, response.success = str(error), False
+        self.publish_diagnostics()
+        return response
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """State for `diagnostics`."""
         values: dict[str, object] = {}
+        overflowed = self.writing.overflowed if self.writing else {}
         for name, topic in self.recorded.items():
-            values[f"publishers of {name}"] = topic.subscription.get_publisher_count()
-            values[f"messages of {name}"] = topic.count
-            values[f"lost of {name}"] = topic.lost
-        if self.missing:
-            values["not seen yet"] = ", ".join(sorted(self.missing.values()))
-        return None, "recording", values
+            shown = self.given_names.get(name, name)
+            values[f"publishers of {shown}"] = topic.subscription.get_publisher_count()
+            values[f"messages of {shown}"] = topic.count
+            values[f"lost of {shown}"] = topic.lost + overflowed.get(topic.topic_id, 0)
+        missing = sorted(given for name, given in self.given_names.items() if name not in self.recorded)
+        if missing:
+            values["not seen yet"] = ", ".join(missing)
+        fault = "the disk is too slow, messages are left out" if overflowed else None
+        if self.complaints:
+            fault = "; ".join([*self.complaints.values(), *([fault] if fault else [])])
+        return fault, "stopped" if self.writing is None else "paused" if self.paused else "recording", values
 
     def closing(self) -> None:
         """Take what is still there and close the bag."""
-        if self.exit_code is None:
-            self.tick()
-        self.bag.close()
-        self.input.destroy_node()
-        counts = ", ".join(f"{topic.count} of {name}" for name, topic in self.recorded.items())
-        lost = ", ".join(f"{topic.lost} of {name}" for name, topic in self.recorded.items() if topic.lost)
-        print(f"logger: wrote {self.parameters.output}: {counts or 'nothing came'}", flush=True)
-        if lost:
-            print(f"logger: LOST {lost}", file=sys.stderr, flush=True)
+        try:
+            if self.writing is not None:
+                print(f"logger: {self.stop()}", flush=True)
+        except AbraceError:
+            if self.exit_code is None:
+                raise
+        finally:
+            self.input.destroy_node()
+
+
+def _only_type(name: str, publishers: list[TopicEndpointInfo]) -> str:
+    """The type that all publishers of a topic have."""
+    types = {publisher.topic_type for publisher in publishers}
+    if len(types) > 1:
+        raise AbraceError(f"topic {name}: has the types {', '.join(sorted(types))}, expected one")
+    return types.pop()
+
+
+def _matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
+    """The most that all publishers offer."""
+    offered = [publisher.qos_profile for publisher in publishers]
+    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
+    kept = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
+    return QoSProfile(
+        depth=DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+    )
 
 
 def _never_called(message: bytes) -> None:
@@ -205,3 +420,7 @@ def _fact(text: str) -> tuple[str, str]:
 def main() -> int:
     """Entry point."""
     return run(Logger)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

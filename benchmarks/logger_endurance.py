@@ -1,0 +1,301 @@
+"""The logger under load: nothing lost in long runs, a flood, and `kill -9` at random moments.
+
+kills   killed while three topics come at 500 Hz: every bag opens, lacks nothing before its end, ends shortly before
+soak    10 minutes of three topics at 500 Hz beside a loaded second core; then floods, beside a subscription that writes
+        nothing
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import random
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import AccelStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import serialize_message
+from rclpy.signals import SignalHandlerOptions
+
+from abrace_core import wire
+from abrace_core.bag import read_topics
+from abrace_core.errors import AbraceError
+from abrace_core.node import KEPT_STREAM_QOS
+from abrace_interfaces.msg import BraceCommand, Response
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+RATE = 500.0
+PATIENCE = 30.0
+NUMBERED = {"response": "sequence", "brace_command": "sequence", "ground_motion": "accel.linear.x"}
+"""Topics, and the field that counts their messages."""
+FLOOD_GROWTH = 1.25
+LOGGER = [sys.executable, "-m", "abrace_plant.nodes.logger"]
+LOAD = [sys.executable, "-c", "while True: pass"]
+BARE = [sys.executable, str(Path(__file__).resolve()), "bare"]
+
+
+class Publishers:
+    """Three topics of a rig, whose messages are numbered from 0."""
+
+    def __init__(self, namespace: str) -> None:
+        self.namespace = namespace
+        self.context = rclpy.Context()
+        self.context.init()
+        self.node = rclpy.create_node("publishers", namespace=namespace, context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.matched: dict[str, str] = {}
+        self.node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
+        x = [0.1, 0.2, 0.3]
+        response = Response(displacement=x, acceleration=x, stroke=x[:1], force=x[:1], command=x[:1])
+        messages = {"response": response, "brace_command": BraceCommand(force=x[:1]), "ground_motion": AccelStamped()}
+        self.topics = {}
+        for topic, message in messages.items():
+            publisher = self.node.create_publisher(type(message), topic, KEPT_STREAM_QOS)
+            payload = bytearray(serialize_message(message))
+            number = struct.Struct("<d" if topic == "ground_motion" else "<Q")
+            self.topics[topic] = (publisher.publish, payload, number, wire.head(bytes(payload)).offset)
+        self.count = 0
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.matched.update((entry.key, entry.value) for entry in status.values)
+
+    def wait_for_match(self, topics: Sequence[str]) -> None:
+        """Until a subscriber that has just been started says that it has found us."""
+        self.matched.clear()
+        self.count = 0
+        deadline = time.monotonic() + PATIENCE
+        while not all(self.matched.get(f"publishers of {topic}") == "1" for topic in topics):
+            if time.monotonic() > deadline:
+                raise AbraceError(f"no subscriber within {PATIENCE:g} s, it said {self.matched}")
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def publish(self, rate: float, duration: float, topics: Sequence[str]) -> float:
+        """Publish at this rate [Hz] for that time [s], every message at its own time; returns the rate reached."""
+        chosen = [self.topics[topic] for topic in topics]
+        begin = time.monotonic()
+        for k in range(round(rate * duration)):
+            wait = begin + k / rate - time.monotonic()
+            # sleeps are late by some 0.1 ms: in a flood, messages come in small bursts
+            if wait > 0.0:
+                time.sleep(wait)
+            for send, payload, number, offset in chosen:
+                number.pack_into(payload, offset, self.count)
+                send(bytes(payload))
+            self.count += 1
+        return round(rate * duration) / (time.monotonic() - begin)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@contextlib.contextmanager
+def publishers() -> Iterator[tuple[Publishers, Path]]:
+    """Publishers in a namespace of their own, and a folder for bags."""
+    with tempfile.TemporaryDirectory() as folder:
+        found = Publishers(f"/endurance_{os.getpid()}_{time.monotonic_ns()}")
+        rclpy.signals.install_signal_handlers(SignalHandlerOptions.NO)
+        try:
+            yield found, Path(folder)
+        finally:
+            found.close()
+
+
+@contextlib.contextmanager
+def running(command: Sequence[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A process that is killed at the end where it still runs."""
+    with log.open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+        try:
+            yield process
+        finally:
+            process.kill()
+            process.wait()
+
+
+def logger_command(namespace: str, bag: Path, topics: Sequence[str]) -> list[str]:
+    """A logger of these topics."""
+    names = f"[{', '.join(topics)}]"
+    return [*LOGGER, "--ros-args", "-r", f"__ns:={namespace}", "-p", f"output:={bag}", "-p", f"topics:={names}"]
+
+
+def stop(process: subprocess.Popen[bytes], log: Path) -> str:
+    """End a process that does so by itself on SIGINT; returns what it said."""
+    process.send_signal(signal.SIGINT)
+    code = process.wait(PATIENCE)
+    said = log.read_text(errors="replace")
+    if code:
+        raise AbraceError(f"{process.args} ended with {code}: {said}")
+    return said
+
+
+def cpu_seconds(process: subprocess.Popen[bytes]) -> float:
+    """Processor time that a process has used [s]."""
+    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def recorded(bag: Path, namespace: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """(numbers, times of arrival [ns]) of each topic in a bag."""
+    found = read_topics(bag)
+    return {
+        topic: (found[f"{namespace}/{topic}"].fields[field].astype(int), found[f"{namespace}/{topic}"].log_time)
+        for topic, field in NUMBERED.items()
+        if f"{namespace}/{topic}" in found
+    }
+
+
+def kills(count: int = 50, seed: int = 1) -> dict[str, Any]:
+    """Kill so many loggers, each at a random moment of its first two seconds of messages.
+
+    `missing`: messages that a bag lacks before its end. `worst_gap_seconds`: from a bag's last message to the kill.
+    """
+    moments = random.Random(seed)
+    opened = missing = 0
+    worst = 0.0
+    with publishers() as (rig, folder):
+        for k in range(count):
+            bag, log = folder / f"bag_{k}", folder / f"{k}.log"
+            with running(logger_command(rig.namespace, bag, list(NUMBERED)), log) as process:
+                rig.wait_for_match(list(NUMBERED))
+                rig.publish(RATE, moments.uniform(0.3, 2.0), list(NUMBERED))
+                killed = time.time_ns()
+                process.kill()
+                process.wait()
+            try:
+                found = recorded(bag, rig.namespace)
+            except AbraceError as error:
+                print(f"kill {k}: {error}", file=sys.stderr)
+                continue
+            opened += 1
+            for topic in NUMBERED:
+                numbers, times = found.get(topic, (np.zeros(0, int), np.zeros(0, int)))
+                missing += int(numbers[-1]) + 1 - numbers.size if numbers.size else 0
+                worst = max(worst, (killed - int(times[-1])) * 1e-9 if numbers.size else float("inf"))
+    return {"kills": count, "opened": opened, "missing": missing, "worst_gap_seconds": worst}
+
+
+def record_steadily(duration: float = 600.0) -> dict[str, Any]:
+    """Three topics at 500 Hz for so many seconds, beside a loaded core: messages, losses, the logger's use of a core."""
+    topics = list(NUMBERED)
+    with publishers() as (rig, folder):
+        bag, log = folder / "bag", folder / "logger.log"
+        with (
+            running(LOAD, folder / "load.log"),
+            running(logger_command(rig.namespace, bag, topics), log) as process,
+        ):
+            rig.wait_for_match(topics)
+            used = cpu_seconds(process)
+            begin = time.monotonic()
+            rig.publish(RATE, duration, topics)
+            fraction = (cpu_seconds(process) - used) / (time.monotonic() - begin)
+            stop(process, log)
+        found = recorded(bag, rig.namespace)
+        messages = rig.count * len(topics)
+        whole = sum(np.unique(numbers).size for numbers, _ in found.values())
+    return {"messages": messages, "lost": messages - whole, "cpu_fraction": fraction}
+
+
+def flood_rate(bare: bool, duration: float, first: float, highest: float) -> tuple[float, bool]:
+    """The highest rate [Hz] of `Response` messages of which none is lost, and whether a higher one lost some."""
+    best = 0.0
+    with publishers() as (rig, folder):
+        rate = first
+        while rate <= highest:
+            bag, log = folder / f"bag_{rate:.0f}", folder / "log"
+            command = [*BARE, rig.namespace] if bare else logger_command(rig.namespace, bag, ["response"])
+            with running(command, log) as process:
+                rig.wait_for_match(["response"])
+                reached = rig.publish(rate, duration, ["response"])
+                said = stop(process, log)
+            count = int(said.split()[-1]) if bare else np.unique(recorded(bag, rig.namespace)["response"][0]).size
+            if count < rig.count:
+                return best, True
+            best = max(best, reached)
+            if reached < 0.9 * rate:
+                break
+            rate *= FLOOD_GROWTH
+    return best, False
+
+
+def soak(
+    duration: float = 600.0, flood_duration: float = 5.0, first: float = 5000.0, highest: float = 200000.0
+) -> dict[str, Any]:
+    """The steady run, and the rates at which the logger and a bare subscription still lose nothing."""
+    steady = record_steadily(duration)
+    ours, ours_lost = flood_rate(False, flood_duration, first, highest)
+    bare, bare_lost = flood_rate(True, flood_duration, first, highest)
+    return {
+        **steady,
+        "flood_rate": ours,
+        "flood_lost_above": ours_lost,
+        "bare_subscription_rate": bare,
+        "bare_lost_above": bare_lost,
+    }
+
+
+def bare_subscription(namespace: str) -> None:
+    """A raw subscription that only counts; says on diagnostics when it is matched, and its count on SIGINT."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("bare", namespace=namespace)
+    count = 0
+
+    def heard(_: bytes) -> None:
+        nonlocal count
+        count += 1
+
+    subscription = node.create_subscription(Response, "response", heard, KEPT_STREAM_QOS, raw=True)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    diagnostics = node.create_publisher(DiagnosticArray, "diagnostics", 10)
+    told = time.monotonic()
+    with contextlib.suppress(KeyboardInterrupt):
+        while True:
+            executor.spin_once(timeout_sec=0.1)
+            if time.monotonic() > told + 0.5:
+                told = time.monotonic()
+                entry = KeyValue(key="publishers of response", value=str(subscription.get_publisher_count()))
+                diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(values=[entry])]))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    waiting = -1
+    while waiting != count:
+        waiting = count
+        executor.spin_once(timeout_sec=0.2)
+    print(count, flush=True)
+
+
+def main() -> int:
+    """Run one part and print what it found."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("part", choices=("kills", "soak", "bare"))
+    parser.add_argument("amount", nargs="?", default="", help="kills, or seconds of the steady run")
+    given = parser.parse_args()
+    if given.part == "bare":
+        bare_subscription(given.amount)
+    elif given.part == "kills":
+        print(json.dumps(kills(int(given.amount or 50)), indent=2))
+    else:
+        print(json.dumps(soak(float(given.amount or 600)), indent=2))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

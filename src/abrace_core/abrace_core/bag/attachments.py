@@ -1,0 +1,41 @@
+"""Files of a run that go into its bag whole: rig, model, controller, record."""
+
+from __future__ import annotations
+
+import mimetypes
+import time
+from typing import TYPE_CHECKING
+
+from mcap.records import Attachment
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+
+def file_attachments(paths: Sequence[Path]) -> list[Attachment]:
+    """Files as MCAP attachments, each under its own name.
+
+    Parameters
+    ----------
+    paths
+        The files.
+
+    Raises
+    ------
+    AbraceError
+        If one can't be read, or two have the same name.
+    """
+    attachments: dict[str, Attachment] = {}
+    for path in paths:
+        if path.name in attachments:
+            raise AbraceError(f"attachment {path}: another one is called {path.name}, expected different names")
+        try:
+            content, changed = path.read_bytes(), path.stat().st_mtime_ns
+        except OSError as error:
+            raise AbraceError(f"attachment {path}: {error.strerror}") from error
+        media_type = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
+        attachments[path.name] = Attachment(changed, time.time_ns(), path.name, media_type, content)
+    return list(attachments.values())

@@ -1,0 +1,209 @@
+"""The logger over real DDS: what it finds, what it keeps, its services, and what a kill leaves."""
+
+from __future__ import annotations
+
+import json
+import resource
+
+import logger_endurance
+import mcap.reader
+import numpy as np
+import pytest
+import yaml
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Float64, Header, String
+from std_srvs.srv import Trigger
+
+from abrace_core.bag import read_facts, read_topics
+from abrace_interfaces.msg import BraceCommand
+
+BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def counted(graph, topic):
+    return int(graph.values("logger").get(f"messages of {topic}", 0))
+
+
+def ask(graph, service, success=True):
+    answer = graph.call(Trigger, f"logger/{service}", Trigger.Request())
+    assert answer.success == success, answer.message
+    return answer.message
+
+
+def matched(graph, topic, count=1):
+    graph.until(lambda: int(graph.values("logger").get(f"publishers of {topic}", 0)) >= count, f"a match on {topic}")
+
+
+def publish_numbers(publisher, numbers):
+    for number in numbers:
+        publisher.publish(Float64(data=float(number)))
+
+
+def test_topics_are_found_by_pattern_whatever_their_type_when_they_appear(graph):
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag), topics=["first"], pattern="/sensor_[0-9]+$")
+    first = graph.publisher(Float64, "first")
+    matched(graph, "first")
+    sensor = graph.publisher(Imu, "sensor_12", BEST_EFFORT)
+    other = graph.publisher(Imu, "sensor_x", subscribers=0)
+    matched(graph, f"{graph.namespace}/sensor_12")
+    for k in range(20):
+        publish_numbers(first, [k])
+        sensor.publish(Imu(header=Header(frame_id=f"mast {k}")))
+        other.publish(Imu())
+    graph.until(lambda: counted(graph, f"{graph.namespace}/sensor_12") == 20, "all readings")
+    assert graph.stop("logger") == 0
+    topics = read_topics(bag)
+    assert set(topics) == {f"{graph.namespace}/first", f"{graph.namespace}/sensor_12"}
+    assert list(topics[f"{graph.namespace}/sensor_12"].fields["header.frame_id"]) == [f"mast {k}" for k in range(20)]
+    np.testing.assert_array_equal(topics[f"{graph.namespace}/first"].fields["data"], np.arange(20.0))
+    information = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    profiles = {
+        topic["topic_metadata"]["name"].rpartition("/")[2]: topic["topic_metadata"]["offered_qos_profiles"][0]
+        for topic in information["topics_with_message_count"]
+    }
+    assert profiles["sensor_12"]["reliability"] == "best_effort"
+    assert profiles["first"]["reliability"] == "reliable"
+
+
+def test_all_topics_are_recorded(graph):
+    bag = graph.folder / "bag"
+    graph.publisher(String, "note", LATCHED, subscribers=0).publish(String(data="said before"))
+    graph.start("logger", output=str(bag), all=True)
+    note = f"{graph.namespace}/note"
+    graph.until(lambda: counted(graph, note) == 1, "the note")
+    graph.until(lambda: counted(graph, "diagnostics") > 0, "diagnostics")
+    assert graph.stop("logger") == 0
+    topics = read_topics(bag)
+    assert list(topics[note].fields["data"]) == ["said before"]
+    assert {f"{graph.namespace}/diagnostics", "/rosout", "/parameter_events"} <= set(topics)
+
+
+def test_a_publisher_that_offers_less_is_recorded_beside_the_first(graph):
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag), topics=["both"])
+    graph.publisher(Float64, "both")
+    matched(graph, "both")
+    second = graph.node.create_publisher(Float64, "both", BEST_EFFORT)
+    matched(graph, "both", 2)
+    graph.until(lambda: second.get_subscription_count(), "the second one's match")
+    publish_numbers(second, [1, 2, 3])
+    graph.until(lambda: counted(graph, "both") == 3, "its messages, which are not acknowledged")
+    assert graph.stop("logger") == 0
+    assert list(read_topics(bag)[f"{graph.namespace}/both"].fields["data"]) == [1, 2, 3]
+
+
+def test_pause_split_stop_and_start_are_services(graph):
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag), topics=["value"], autostart=False, compression="lz4")
+    value = graph.publisher(Float64, "value", subscribers=0)
+    assert "nothing is being recorded" in ask(graph, "stop", success=False)
+    assert not bag.exists()
+    ask(graph, "start")
+    assert "already" in ask(graph, "start", success=False)
+    matched(graph, "value")
+    for first, service in ((0, "split"), (5, "pause"), (10, "resume")):
+        publish_numbers(value, range(first, first + 5))
+        assert value.wait_for_all_acked()
+        ask(graph, service)
+    publish_numbers(value, range(15, 20))
+    assert value.wait_for_all_acked()
+    assert "15 of value" in ask(graph, "stop")
+    assert ask(graph, "start").endswith("bag_2")
+    matched(graph, "value")
+    publish_numbers(value, [99])
+    assert value.wait_for_all_acked()
+    assert graph.stop("logger") == 0
+    topic = f"{graph.namespace}/value"
+    assert list(read_topics(bag)[topic].fields["data"]) == [*range(10), *range(15, 20)]
+    assert list(read_topics(bag / "bag_1.mcap")[topic].fields["data"]) == [*range(5, 10), *range(15, 20)]
+    assert list(read_topics(bag.with_name("bag_2"))[topic].fields["data"]) == [99]
+
+
+def test_a_snapshot_holds_what_was_before_the_request(graph):
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag), topics=["value"], snapshot=1000.0)
+    value = graph.publisher(Float64, "value")
+    matched(graph, "value")
+    publish_numbers(value, range(50))
+    assert value.wait_for_all_acked()
+    assert "wrote 50 messages" in ask(graph, "snapshot")
+    publish_numbers(value, range(50, 60))
+    assert value.wait_for_all_acked()
+    assert graph.stop("logger") == 0
+    assert list(read_topics(bag)[f"{graph.namespace}/value"].fields["data"]) == list(range(50))
+
+
+def test_gaps_attachments_versions_and_parameters_are_in_the_bag(graph):
+    bag, rig = graph.folder / "bag", graph.folder / "rig.yaml"
+    rig.write_text("storeys: 3\n")
+    graph.start("logger", output=str(bag), topics=["brace_command"], attachments=[str(rig)], facts=["record=el_centro"])
+    publisher = graph.publisher(BraceCommand, "brace_command")
+    matched(graph, "brace_command")
+    for number in (0, 1, 2, 5, 6):
+        publisher.publish(BraceCommand(sequence=number, force=[1.0]))
+    assert publisher.wait_for_all_acked()
+    assert graph.stop("logger") == 0
+    assert read_facts(bag) == {"record": "el_centro"}
+    with (bag / "bag_0.mcap").open("rb") as file:
+        reader = mcap.reader.make_reader(file, validate_crcs=True)
+        records = {record.name: record.metadata for record in reader.iter_metadata()}
+        (attachment,) = reader.iter_attachments()
+    tally = json.loads(records["abrace_topics"][f"{graph.namespace}/brace_command"])
+    assert tally == {"messages": 5, "gaps": 1, "missing": 2, "lost": 0}
+    assert json.loads(records["abrace_logger"]["topics"]) == ["brace_command"]
+    assert "abrace_core" in records["abrace_versions"]
+    assert (attachment.name, attachment.data) == ("rig.yaml", b"storeys: 3\n")
+
+
+def test_a_topic_with_two_types_ends_the_logger_and_leaves_what_was_recorded(graph):
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag), topics=["value", "odd"])
+    value = graph.publisher(Float64, "value")
+    matched(graph, "value")
+    publish_numbers(value, [1, 2])
+    assert value.wait_for_all_acked()
+    graph.may_end.add("logger")
+    odd = [graph.node.create_publisher(kind, "odd", 10) for kind in (Float64, String)]
+    assert graph.ended("logger") == 1, f"the logger went on with {len(odd)} types"
+    assert any("odd: has the types std_msgs/msg/Float64, std_msgs/msg/String" in line for line in graph.said("logger"))
+    assert list(read_topics(bag)[f"{graph.namespace}/value"].fields["data"]) == [1, 2]
+    assert (bag / "metadata.yaml").is_file()
+
+
+def test_a_full_disk_ends_the_logger_and_leaves_what_was_recorded(graph):
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag), topics=["note"], compression="none")
+    note = graph.publisher(String, "note")
+    matched(graph, "note")
+    graph.may_end.add("logger")
+    process = graph.started["logger"]
+    resource.prlimit(process.group, resource.RLIMIT_FSIZE, (200_000, 200_000))
+    sent = 0
+    while process.returncode is None:
+        note.publish(String(data="x" * 1000))
+        sent += 1
+        graph.executor.spin_once(timeout_sec=0.001)
+    assert graph.ended("logger") == 1
+    said = graph.said("logger")
+    assert sum("File too large" in line for line in said) == 1, said
+    assert "Traceback" not in "\n".join(said)
+    recorded = read_topics(bag)[f"{graph.namespace}/note"]
+    assert 100 < len(recorded.log_time) < sent
+
+
+@pytest.mark.usefixtures("domain")
+def test_a_killed_logger_leaves_all_but_its_last_moments_whenever_it_is_killed():
+    found = logger_endurance.kills(3)
+    assert found["opened"] == found["kills"] == 3
+    assert found["missing"] == 0
+    assert found["worst_gap_seconds"] < 0.2
+
+
+@pytest.mark.usefixtures("domain")
+def test_nothing_is_lost_of_three_topics_at_500_hz():
+    found = logger_endurance.record_steadily(duration=2.0)
+    assert found["messages"] == 3000
+    assert found["lost"] == 0
