@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import random
+import re
 import signal
 import struct
 import subprocess
@@ -64,8 +65,10 @@ class Publishers:
         response = Response(displacement=x, acceleration=x, stroke=x[:1], force=x[:1], command=x[:1])
         messages = {"response": response, "brace_command": BraceCommand(force=x[:1]), "ground_motion": AccelStamped()}
         self.topics = {}
+        self.publishers = {}
         for topic, message in messages.items():
             publisher = self.node.create_publisher(type(message), topic, KEPT_STREAM_QOS)
+            self.publishers[topic] = publisher
             payload = bytearray(serialize_message(message))
             number = struct.Struct("<d" if topic == "ground_motion" else "<Q")
             self.topics[topic] = (publisher.publish, payload, number, wire.head(bytes(payload)).offset)
@@ -76,11 +79,12 @@ class Publishers:
             self.matched.update((entry.key, entry.value) for entry in status.values)
 
     def wait_for_match(self, topics: Sequence[str]) -> None:
-        """Until a subscriber that has just been started says that it has found us."""
-        self.matched.clear()
-        self.count = 0
+        """Until the subscriber says that it has found us, and we have found it."""
         deadline = time.monotonic() + PATIENCE
-        while not all(self.matched.get(f"publishers of {topic}") == "1" for topic in topics):
+        while not all(
+            self.matched.get(f"publishers of {topic}") == "1" and self.publishers[topic].get_subscription_count() == 1
+            for topic in topics
+        ):
             if time.monotonic() > deadline:
                 raise AbraceError(f"no subscriber within {PATIENCE:g} s, it said {self.matched}")
             self.executor.spin_once(timeout_sec=0.02)
@@ -153,6 +157,13 @@ def cpu_seconds(process: subprocess.Popen[bytes]) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def shared_memory(process: subprocess.Popen[bytes]) -> set[Path]:
+    """What the middleware of a process that is killed leaves in shared memory."""
+    maps = Path(f"/proc/{process.pid}/maps").read_text()
+    segments = re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", maps)
+    return {Path(segment + ending) for segment in segments for ending in ("", "_el")}
+
+
 def recorded(bag: Path, namespace: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """(numbers, times of arrival [ns]) of each topic in a bag."""
     found = read_topics(bag)
@@ -171,30 +182,33 @@ def kills(count: int = 50, seed: int = 1) -> dict[str, Any]:
     moments = random.Random(seed)
     opened = missing = 0
     worst = 0.0
-    with publishers() as (rig, folder):
-        for k in range(count):
-            bag, log = folder / f"bag_{k}", folder / f"{k}.log"
-            with running(logger_command(rig.namespace, bag, list(NUMBERED)), log) as process:
+    for k in range(count):
+        with publishers() as (rig, folder):
+            bag = folder / "bag"
+            with running(logger_command(rig.namespace, bag, list(NUMBERED)), folder / "log") as process:
                 rig.wait_for_match(list(NUMBERED))
                 rig.publish(RATE, moments.uniform(0.3, 2.0), list(NUMBERED))
+                segments = shared_memory(process)
                 killed = time.time_ns()
                 process.kill()
                 process.wait()
+            for segment in segments:
+                segment.unlink(missing_ok=True)
             try:
                 found = recorded(bag, rig.namespace)
             except AbraceError as error:
                 print(f"kill {k}: {error}", file=sys.stderr)
                 continue
-            opened += 1
-            for topic in NUMBERED:
-                numbers, times = found.get(topic, (np.zeros(0, int), np.zeros(0, int)))
-                missing += int(numbers[-1]) + 1 - numbers.size if numbers.size else 0
-                worst = max(worst, (killed - int(times[-1])) * 1e-9 if numbers.size else float("inf"))
+        opened += 1
+        for topic in NUMBERED:
+            numbers, times = found.get(topic, (np.zeros(0, int), np.zeros(0, int)))
+            missing += int(numbers[-1]) + 1 - numbers.size if numbers.size else 0
+            worst = max(worst, (killed - int(times[-1])) * 1e-9 if numbers.size else float("inf"))
     return {"kills": count, "opened": opened, "missing": missing, "worst_gap_seconds": worst}
 
 
 def record_steadily(duration: float = 600.0) -> dict[str, Any]:
-    """Three topics at 500 Hz for so many seconds, beside a loaded core: messages, losses, the logger's use of a core."""
+    """Three topics at 500 Hz for so many seconds, beside a loaded core: messages, losses, share of a core used."""
     topics = list(NUMBERED)
     with publishers() as (rig, folder):
         bag, log = folder / "bag", folder / "logger.log"
@@ -216,23 +230,22 @@ def record_steadily(duration: float = 600.0) -> dict[str, Any]:
 
 def flood_rate(bare: bool, duration: float, first: float, highest: float) -> tuple[float, bool]:
     """The highest rate [Hz] of `Response` messages of which none is lost, and whether a higher one lost some."""
-    best = 0.0
-    with publishers() as (rig, folder):
-        rate = first
-        while rate <= highest:
-            bag, log = folder / f"bag_{rate:.0f}", folder / "log"
+    best, rate = 0.0, first
+    while rate <= highest:
+        with publishers() as (rig, folder):
+            bag, log = folder / "bag", folder / "log"
             command = [*BARE, rig.namespace] if bare else logger_command(rig.namespace, bag, ["response"])
             with running(command, log) as process:
                 rig.wait_for_match(["response"])
                 reached = rig.publish(rate, duration, ["response"])
                 said = stop(process, log)
             count = int(said.split()[-1]) if bare else np.unique(recorded(bag, rig.namespace)["response"][0]).size
-            if count < rig.count:
-                return best, True
-            best = max(best, reached)
-            if reached < 0.9 * rate:
-                break
-            rate *= FLOOD_GROWTH
+        if count < rig.count:
+            return best, True
+        best = max(best, reached)
+        if reached < 0.9 * rate:
+            break
+        rate *= FLOOD_GROWTH
     return best, False
 
 

@@ -213,10 +213,7 @@ class Logger(AbraceNode):
             self.publish_diagnostics()
 
     def complain(self, name: str, error: AbraceError) -> None:
-        """A topic that was asked for by name and can't be recorded ends the logger; any other trouble is told."""
-        if name in self.given_names and name not in self.recorded:
-            self.finish(1, str(error))
-            return
+        """Tell of a topic that can't be recorded, at once and at the end; the others are recorded all the same."""
         self.complaints[name] = str(error)
         print(f"logger: {error}", file=sys.stderr, flush=True)
         self.publish_diagnostics()
@@ -384,6 +381,8 @@ class Logger(AbraceNode):
                 raise
         finally:
             self.input.destroy_node()
+        if self.complaints:
+            raise AbraceError(f"{len(self.complaints)} topics not recorded as asked: {', '.join(self.complaints)}")
 
 
 def _only_type(name: str, publishers: list[TopicEndpointInfo]) -> str:
