@@ -29,10 +29,10 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
-from abrace_core.bag.open_chunk import CHUNK_SIZE, OpenChunk, compressor
+from abrace_core.bag.open_chunk import CHUNK_SIZE, OpenChunk
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from abrace_core.bag.rosbag2 import FileSpan
@@ -45,8 +45,8 @@ class McapWriter:
     ----------
     path
         The file, which is not there yet.
-    compression
-        `zstd`, `lz4` or `none`.
+    compression, compress
+        From `compressor`.
 
     Attributes
     ----------
@@ -54,8 +54,8 @@ class McapWriter:
         Bytes of the file so far, without the open chunk.
     """
 
-    def __init__(self, path: Path, compression: str) -> None:
-        self._compression, self._compress = compressor(compression)
+    def __init__(self, path: Path, compression: str, compress: Callable[[bytes], bytes]) -> None:
+        self._compression, self._compress = compression, compress
         self._chunk = OpenChunk()
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []

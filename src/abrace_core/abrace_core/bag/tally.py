@@ -74,14 +74,11 @@ def is_numbered(definition_text: str) -> bool:
     ----------
     definition_text
         The .msg text.
-
-    Raises
-    ------
-    AbraceError
-        If it is not one.
     """
-    own = definition_text.partition("=" * 80)[0]
-    head = parse_fields(own)[:2]
+    try:
+        head = parse_fields(definition_text.partition("=" * 80)[0])[:2]
+    except AbraceError:
+        return False
     return len(head) == 2 and head[0].type_name == "std_msgs/Header" and head[1] == _SEQUENCE_FIELD
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcap.records import Channel, Schema
 
+from abrace_core.bag.chunks import compressor
 from abrace_core.bag.mcap_records import CHECKSUM_KEY, FACTS_RECORD, facts_checksum
 from abrace_core.bag.mcap_writer import McapWriter
 from abrace_core.bag.open_chunk import compressor
@@ -53,7 +54,7 @@ class BagWriter:
     Raises
     ------
     AbraceError
-        If the directory is there already or can't be made.
+        If the compression is unknown, or the directory is there already or can't be made.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class BagWriter:
         self.directory = Path(directory)
         self._facts = dict(facts)
         self._records = dict(records or {})
-        self._compression = compression
+        self._compressor = compressor(compression)
         self._split_size = split_size
         self._split_duration = round(split_duration * 1e9)
         self._schemas: dict[str, Schema] = {}
@@ -280,7 +281,7 @@ class BagWriter:
         """Begin the next file with what each file holds."""
         span = FileSpan(f"{self.directory.name}_{len(self._files)}.mcap", counts=dict.fromkeys(self._topics, 0))
         try:
-            self._file = McapWriter(self.directory / span.name, self._compression)
+            self._file = McapWriter(self.directory / span.name, *self._compressor)
         except OSError as error:
             raise self._failure(error) from error
         self._files.append(span)

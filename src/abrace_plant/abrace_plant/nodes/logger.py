@@ -111,7 +111,7 @@ class Logger(AbraceNode):
         self.recorded: dict[str, Recorded] = {}
         self.complaints: dict[str, str] = {}
         self.writing: WritingThread | None = None
-        self.snapshot = Snapshot(given.snapshot) if given.snapshot else None
+        self.snapshot: Snapshot | None = None
         self.paused = False
         self.bags = 0
         self.matched = 0
@@ -149,6 +149,7 @@ class Logger(AbraceNode):
             split_duration=given.split_duration,
         )
         self.writing = WritingThread(bag, given.flush_interval)
+        self.snapshot = Snapshot(given.snapshot) if given.snapshot else None
         self.bags += 1
         self.paused = False
         return directory
