@@ -229,7 +229,10 @@ class Logger(AbraceNode):
         self.recorded[name] = Recorded(subscription, topic_id, definition.type_name, len(publishers))
 
     def follow(self, name: str, topic: Recorded, publishers: list[TopicEndpointInfo]) -> None:
-        """Subscribe anew where a publisher has come that offers less than the subscription asks for."""
+        """Subscribe anew where a publisher has come that offers less than the subscription asks for.
+
+        What the others publish until the new subscription is matched is not recorded.
+        """
         _only_type(name, publishers)
         old = topic.subscription
         qos, before = _matching_qos(publishers), old.qos_profile
