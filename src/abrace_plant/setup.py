@@ -22,6 +22,7 @@ setup(
             "ground_motion = abrace_plant.nodes.ground_motion:main",
             "logger = abrace_plant.nodes.logger:main",
             "recover = abrace_plant.nodes.recover:main",
+            "replay = abrace_plant.nodes.replay:main",
             "record = abrace_plant.nodes.record:main",
             "characterize = abrace_plant.nodes.characterize:main",
         ]
