@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -eo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint verify bench clean
+.PHONY: help setup demo test lint verify bench soak clean
 
 ENVIRONMENT := source ros2_ws/setup.bash
 PACKAGES := abrace_core abrace_plant abrace_sysid abrace_lqg abrace_bringup
@@ -50,6 +50,10 @@ verify: setup  ## accuracy claims, measured: results/verify.json
 bench: setup  ## speed claims beside their peers: results/bench.json
 	@$(ENVIRONMENT)
 	python benchmarks/bench.py
+
+soak: setup  ## long runs of the logger, 12 minutes: results/soak.json
+	@$(ENVIRONMENT)
+	python benchmarks/soak.py
 
 clean:  ## remove what was built and made (not bags)
 	@rm -rf .venv ros2_ws/build ros2_ws/install ros2_ws/log results

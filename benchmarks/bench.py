@@ -8,6 +8,7 @@ lockstep       the demo's closed loop (plant, ground motion, controller, logger,
 controller, loop, lqr_agreement  a step of LQG3, its answer over DDS beside the echo, its gains beside python-control's
 explore        1000 closed loops of 50 000 steps, designs and margins included, on all cores
 reading        the responses of that run's bag to arrays, against `rosbags`
+bags           1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`
 identification from bags of 600 s to the model, against `rosbags`, `mcap-ros2-support` and scikit-rf's VectorFitting
 """
 
@@ -17,28 +18,26 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from controller_speed import controller_speed
-from domain_coordinator import domain_id
+from bag_reading import bag_reading
+from controller_speed import controller_speed, lqg3
 from exploration_speed import exploration_speed
 from identification_speed import cost_table, identification_speed
+from isolation import isolated
 from rosbags.highlevel import AnyReader
 from simulation import simulation_speed
 
 from abrace_bringup.campaign import run_campaign
 from abrace_bringup.table import Table
 from abrace_core.bag import read_run
-from abrace_core.controller_file import Controller, save_controller
+from abrace_core.controller_file import save_controller
 from abrace_core.files import write_text
 from abrace_core.node import find_file
-from abrace_lqg.design import design
-from abrace_lqg.weights import load_weights
 from abrace_plant.rig_file import load_rig
 from abrace_plant.rig_loop import RigLoop
 
@@ -64,11 +63,7 @@ def echo_rate() -> float:
 
 def lockstep() -> dict[str, Any]:
     """Samples a second of the lockstep graph, and of the echo around it."""
-    rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
-    weights = load_weights(find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights"))
-    made = design(rig.model, weights, 1 / SAMPLE_RATE)
-    parts = made.controller, made.correction, made.prediction
-    save_controller(Controller("lqg3", *parts, rig.capacity, "the rig's own", "lqg3", "not needed here"), "lqg3.yaml")
+    save_controller(lqg3(), "lqg3.yaml")
     before = echo_rate()
     results = run_campaign(HERE / "lockstep.yaml")
     after = echo_rate()
@@ -148,6 +143,19 @@ def identification_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
+def bag_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the table: a large bag, beside each peer."""
+    rows = []
+    title = "reading 1 000 000 responses, s"
+    for name, key in (("rosbags", "rosbags"), ("mcap-ros2-support", "mcap_ros2_support")):
+        seconds, ratio = found[f"{key}_seconds"], found[f"ratio_to_{key}"]
+        beside = (f"{name} {seconds:.1f}", f"{ratio:.1f}") if seconds else (f"{name} not installed", "-")
+        rows.append((title, f"{found['read_1e6_seconds']:.2f}", "2, 10 x", *beside))
+        title = ""
+    rows.append(("of it, a hundredth of the time, s", f"{found['time_range_seconds']:.3f}", "-", "-", "-"))
+    return rows
+
+
 def controller_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     """Rows of the table: a step, the loop over DDS, agreement with other tools, an exploration."""
     loop, explore = found["loop"], found["explore"]
@@ -168,17 +176,12 @@ def main() -> None:
     found: dict[str, Any] = {"simulation": simulation_speed(), "plant_step_us": plant_step()}
     found["identification"] = identification_speed()
     found["explore"] = exploration_speed()
-    with tempfile.TemporaryDirectory() as folder, domain_id() as domain:
-        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-        here = Path.cwd()
-        os.chdir(folder)
-        try:
-            found["lockstep"] = lockstep()
-            (bag,) = Path("bags/bench").glob("*/closed_loop")
-            found["reading"] = reading(bag)
-            found |= controller_speed()
-        finally:
-            os.chdir(here)
+    found["bags"] = bag_reading()
+    with isolated():
+        found["lockstep"] = lockstep()
+        (bag,) = Path("bags/bench").glob("*/closed_loop")
+        found["reading"] = reading(bag)
+        found |= controller_speed()
     write_text("results/bench.json", json.dumps(found, indent=1) + "\n")
     loop, bags, step = found["lockstep"], found["reading"], found["plant_step_us"]
     trip = 1e6 / loop["echo_per_second"]
@@ -200,6 +203,7 @@ def main() -> None:
             f"rosbags {bags['rosbags_seconds']:.2f}",
             f"{bags['ratio_to_rosbags']:.1f}",
         ),
+        *bag_rows(found["bags"]),
         *identification_rows(found["identification"]),
         *controller_rows(found),
     )

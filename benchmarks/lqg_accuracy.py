@@ -8,15 +8,13 @@ wrote: nothing here designs or simulates a second time.
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from claims import Claim
-from domain_coordinator import domain_id
+from isolation import isolated
 from papers_simulation import papers_simulation
 
 from abrace_bringup.campaign import run_campaign
@@ -102,20 +100,14 @@ def campaign_text(record: Path | None) -> str:
 
 def run(record: Path | None) -> Results:
     """Run the campaign in a folder of its own, keep its report, return what it found."""
-    with tempfile.TemporaryDirectory() as folder, domain_id() as domain:
-        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-        campaign = Path(folder) / "five_controllers.yaml"
+    with isolated() as here:
+        campaign = Path("five_controllers.yaml")
         campaign.write_text(campaign_text(record), encoding="utf-8")
-        here = Path.cwd()
-        os.chdir(folder)
-        try:
-            results = run_campaign(campaign)
-            make_report(results)
-            found = read_results(results)
-            shutil.rmtree(here / KEPT, ignore_errors=True)
-            shutil.copytree(results, here / KEPT)
-        finally:
-            os.chdir(here)
+        results = run_campaign(campaign)
+        make_report(results)
+        found = read_results(results)
+        shutil.rmtree(here / KEPT, ignore_errors=True)
+        shutil.copytree(results, here / KEPT)
     return found
 
 

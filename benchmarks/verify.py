@@ -5,6 +5,7 @@ Writes results/verify.json, prints tables, ends with 1 if a claim is missed.
 rig             the paper's rig against the numbers that the paper prints, and its limited motion against finer substeps
 records         the resampling of records, and their response spectra against eqsig
 lqg             the five controllers on the lockstep graph: Table 1, prediction, margins, reductions
+bags            killed loggers, cut-off and damaged files
 identification  poles, their intervals and prediction against the simulated rig, beside the paper's method and N4SID
 """
 
@@ -21,6 +22,7 @@ import eqsig
 import identification_accuracy as accuracy
 import lqg_accuracy
 import numpy as np
+from bag_accuracy import verify_bags
 from claims import Claim, claim_table
 
 from abrace_bringup.table import Table
@@ -253,9 +255,10 @@ def main() -> int:
     rig, claims = verify_rig()
     records, of_records = verify_records()
     identification, of_identification, tables = verify_identification()
+    bags, of_bags = verify_bags()
     lqg, of_lqg, of_controllers = lqg_accuracy.verify_lqg(record)
-    claims += of_records + of_identification + of_lqg
-    values = {"rig": rig, "records": records, "identification": identification, "lqg": lqg}
+    claims += of_records + of_identification + of_bags + of_lqg
+    values = {"rig": rig, "records": records, "identification": identification, "bags": bags, "lqg": lqg}
     write_text(RESULTS, json.dumps(values, indent=1) + "\n")
     print("\n\n".join(table.text() for table in (claim_table(claims), *tables, *of_controllers)))
     print(f"wrote {RESULTS}")

@@ -26,7 +26,11 @@ NODES = {
         "plant": "Takes `brace_command`, `ground_motion`, `emergency_stop`; publishes `response`, `joint_states`, "
         "`robot_description`, in lockstep `/clock`. Service `~/clear_fault` (std_srvs/Trigger).",
         "ground_motion": "Takes `response`, `emergency_stop`; publishes `ground_motion`. Action `play_ground_motion`.",
-        "logger": "Takes the topics that it records.",
+        "logger": "Takes the topics that it records. Services `~/start`, `~/stop`, `~/pause`, `~/resume`, `~/split`, "
+        "`~/snapshot` (all std_srvs/Trigger): bags.md.",
+        "replay": "Publishes the topics of a bag. Services `~/pause` (std_srvs/SetBool), `~/step` (std_srvs/Trigger): "
+        "replay.md.",
+        "recover": "Offline: a whole bag out of one that was cut off or damaged.",
         "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",
         "characterize": "Offline: a rig measured as the paper measured its building, in numbers and drawn.",
     },

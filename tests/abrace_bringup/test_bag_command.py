@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +12,7 @@ import pytest
 
 from abrace_bringup.cli import main
 from abrace_core.bag import BagWriter
+from abrace_core.bag.attachments import file_attachments
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,7 +22,9 @@ DEFINITION = "uint64 sequence\nfloat64 force\n"
 
 @pytest.fixture
 def bag(tmp_path: Path) -> Path:
-    with BagWriter(tmp_path / "bag", {"rig": "ncree"}) as bag:
+    (tmp_path / "lqg3.yaml").write_text("storeys: 3\n")
+    attached = file_attachments([tmp_path / "lqg3.yaml"])
+    with BagWriter(tmp_path / "bag", {"rig": "ncree"}, attachments=attached) as bag:
         topic = bag.add_topic("/force", "test_msgs/msg/Force", DEFINITION, "")
         for k in (0, 1, 2, 5):
             bag.write(topic, b"\0\1\0\0" + np.uint64(k).tobytes() + np.float64(k / 3).tobytes(), 10**9 * k, 10**9 * k)
@@ -29,8 +35,9 @@ def test_info_tells_topics_gaps_and_facts(bag: Path, capsys: pytest.CaptureFixtu
     assert main(["bag", "info", str(bag)]) == 0
     lines = capsys.readouterr().out.splitlines()
     (row,) = (line.split() for line in lines if line.startswith("/force"))
-    assert row == ["/force", "test_msgs/msg/Force", "4", "0.60", "1", "2"]
+    assert row == ["/force", "test_msgs/msg/Force", "4", "0.60", "1", "2", "0"]
     assert "rig: ncree" in lines
+    assert "attachment lqg3.yaml: 11 bytes" in lines
     assert any(line.startswith("5.000 s from 1970-01-01") for line in lines)
 
 
@@ -39,6 +46,16 @@ def test_info_of_a_cut_off_bag_warns(bag: Path, capsys: pytest.CaptureFixture[st
     path.write_bytes(path.read_bytes()[:-40])
     assert main(["bag", "info", str(bag)]) == 0
     assert "WARNING: " in capsys.readouterr().out
+
+
+def test_a_reader_who_has_had_enough_is_no_error(bag: Path) -> None:
+    program = "import sys; from abrace_bringup.cli import main; sys.exit(main())"
+    command = f"set -o pipefail; '{sys.executable}' -c '{program}' bag info '{bag}'"
+    for end, said in (("| true", b""), ("| head -n 1", b"1 file")):
+        environment = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+        ran = subprocess.run(["bash", "-c", f"{command} {end}"], capture_output=True, check=False, env=environment)
+        assert (ran.returncode, ran.stderr) == (0, b"")
+        assert said in ran.stdout
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,7 @@ import resource
 import signal
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mcap.reader
 import mcap.stream_reader
@@ -15,36 +14,24 @@ import numpy as np
 import pytest
 import yaml
 from mcap.writer import CompressionType, Writer
+from reference_messages import DEFINITIONS, HASHES, RESPONSE, STORE, STRING, TYPES, note, response_message, serialised
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from abrace_core.bag import BagWriter, offered_qos, read_facts, read_topics
 from abrace_core.errors import AbraceError
 
-RESPONSE = "abrace_interfaces/msg/Response"
-STRING = "std_msgs/msg/String"
-MSG = Path(__file__).parents[2] / "src/abrace_interfaces/msg/Response.msg"
-STORE = get_typestore(Stores.ROS2_JAZZY)
-STORE.register(get_types_from_msg(MSG.read_text(), RESPONSE))
-TYPES: dict[str, Any] = dict(STORE.types)
-DEFINITIONS = {name: STORE.generate_msgdef(name, ros_version=2)[0] for name in (RESPONSE, STRING)}
-HASHES = {name: STORE.hash_rihs01(name) for name in (RESPONSE, STRING)}
+if TYPE_CHECKING:
+    from pathlib import Path
+
 FACTS = {"rig": "ncree: three storeys\nsecond line", "sample_period": "0.002", "empty": "", "größe": "½ #1"}
 FIELDS = ("displacement", "acceleration", "stroke", "force", "command", "ground_acceleration")
 START = 1_700_000_000_000_000_000
 
 
 def response(k: int) -> Any:
-    x = np.random.default_rng(k).normal(size=10)
-    time = TYPES["builtin_interfaces/msg/Time"](sec=k // 500, nanosec=k % 500 * 2_000_000)
-    header = TYPES["std_msgs/msg/Header"](stamp=time, frame_id="table")
-    return TYPES[RESPONSE](header, k, x[:3], x[3:6], x[6:7], x[7:8], x[8:9], x[9])
-
-
-def serialised(message: Any, type_name: str = RESPONSE) -> bytes:
-    return bytes(STORE.serialize_cdr(message, type_name))
+    return response_message(k, np.random.default_rng(k).normal(size=10), k // 500, k % 500 * 2_000_000)
 
 
 def write_bag(directory: Path, samples: int, flush_every: int = 10**9) -> list[Any]:
@@ -52,12 +39,11 @@ def write_bag(directory: Path, samples: int, flush_every: int = 10**9) -> list[A
     messages = [response(k) for k in range(samples)]
     with BagWriter(directory, FACTS) as bag:
         number = bag.add_topic("/response", RESPONSE, DEFINITIONS[RESPONSE], HASHES[RESPONSE], {"depth": 50})
-        note = bag.add_topic("/note", STRING, DEFINITIONS[STRING], HASHES[STRING])
+        notes = bag.add_topic("/note", STRING, DEFINITIONS[STRING], HASHES[STRING])
         for k, message in enumerate(messages):
             bag.write(number, serialised(message), START + 2_000_000 * k, START + 2_000_000 * k - 70_000)
             if k % 5 == 0:
-                text = serialised(TYPES[STRING](data=f"note {k}"), STRING)
-                bag.write(note, text, START + 2_000_000 * k + 1, START)
+                bag.write(notes, note(f"note {k}"), START + 2_000_000 * k + 1, START)
             if k % flush_every == flush_every - 1:
                 bag.flush()
     return messages

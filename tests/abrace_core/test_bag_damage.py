@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bag_damage
@@ -11,35 +10,22 @@ import pytest
 from bag_damage import damage, fingerprints
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from reference_messages import DEFINITIONS, HASHES, RESPONSE, STORE, STRING, note, response_message, serialised
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from abrace_core.bag import BagWriter, read_topics, recover
+from abrace_core.bag.attachments import file_attachments
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
-RESPONSE = "abrace_interfaces/msg/Response"
-STRING = "std_msgs/msg/String"
-MSG = Path(__file__).parents[2] / "src/abrace_interfaces/msg/Response.msg"
-STORE = get_typestore(Stores.ROS2_JAZZY)
-STORE.register(get_types_from_msg(MSG.read_text(), RESPONSE))
-TYPES: dict[str, Any] = dict(STORE.types)
-DEFINITIONS = {name: STORE.generate_msgdef(name, ros_version=2)[0] for name in (RESPONSE, STRING)}
-HASHES = {name: STORE.hash_rihs01(name) for name in (RESPONSE, STRING)}
 FACTS = {"rig": "ncree", "sample_period": "0.002"}
 
 
 def response(k: int) -> bytes:
-    x = np.random.default_rng(k).normal(size=10)
-    header = TYPES["std_msgs/msg/Header"](TYPES["builtin_interfaces/msg/Time"](1, k), "table")
-    message = TYPES[RESPONSE](header, k, x[:3], x[3:6], x[6:7], x[7:8], x[8:9], x[9])
-    return bytes(STORE.serialize_cdr(message, RESPONSE))
-
-
-def note(k: int) -> bytes:
-    return bytes(STORE.serialize_cdr(TYPES[STRING](data=f"note {k}"), STRING))
+    return serialised(response_message(k, np.random.default_rng(k).normal(size=10), 1, k))
 
 
 def write_bag(directory: Path, samples: int, flush_every: int = 10**9) -> Path:
@@ -50,7 +36,7 @@ def write_bag(directory: Path, samples: int, flush_every: int = 10**9) -> Path:
         for k in range(samples):
             bag.write(responses, response(k), 10 * k, 10 * k + 1)
             if k % 5 == 0:
-                bag.write(notes, note(k), 10 * k + 2, 10 * k + 3)
+                bag.write(notes, note(f"note {k}"), 10 * k + 2, 10 * k + 3)
             if k % flush_every == flush_every - 1:
                 bag.flush()
     return directory / f"{directory.name}_0.mcap"
@@ -164,7 +150,7 @@ def test_damage_outside_chunks_is_an_error_or_all_of_them_are_missing(tmp_path: 
             "/note", "cdr", writer.register_schema(STRING, "ros2msg", DEFINITIONS[STRING].encode())
         )
         for k in range(40):
-            writer.add_message(topic, k, note(k), k)
+            writer.add_message(topic, k, note(f"note {k}"), k)
         writer.finish()
     whole = path.read_bytes()
     first = whole.index(b"note 0\0")
@@ -201,6 +187,23 @@ def test_recovered_bag_is_whole_and_has_every_message_that_was_read(tmp_path: Pa
         connection = next(one for one in reader.connections if one.topic == "/response")
         assert connection.digest == HASHES[RESPONSE]
         assert connection.ext.offered_qos_profiles[0].depth == 77
+
+
+def test_a_recovered_bag_keeps_files_records_and_losses(tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text("storeys: 3\n")
+    attached = file_attachments([tmp_path / "rig.yaml"])
+    with BagWriter(tmp_path / "bag", FACTS, records={"versions": {"python": "3"}}, attachments=attached) as bag:
+        topic = bag.add_topic("/note", STRING, DEFINITIONS[STRING], HASHES[STRING], {"depth": 3}, {"depth": 5})
+        bag.write(topic, note("a"), 10, 10)
+        bag.add_lost(topic, 7)
+    recover(tmp_path / "bag", tmp_path / "whole")
+    first, again = read_topics(tmp_path / "bag"), read_topics(tmp_path / "whole")
+    assert again.attachments == first.attachments == {"rig.yaml": b"storeys: 3\n"}
+    assert again.records["versions"] == {"python": "3"}
+    assert again.records["abrace_topics"] == first.records["abrace_topics"]
+    assert '"lost": 7' in again.records["abrace_topics"]["/note"]
+    with AnyReader([tmp_path / "whole"]) as reader:
+        assert [profile.depth for profile in reader.connections[0].ext.offered_qos_profiles] == [3, 5]
 
 
 def without_messages(folder: Path) -> Sequence[Path]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import csv
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from reference_messages import DEFINITIONS, RESPONSE, STRING, note, response_message, serialised
 from scipy.io import loadmat
 
 from abrace_core.bag import BagWriter, TopicArrays, read_topics
@@ -17,13 +16,9 @@ from abrace_core.bag.export import columns, write_csv, write_mat
 from abrace_core.bag.figure import bag_figure
 from abrace_core.errors import AbraceError
 
-RESPONSE = "abrace_interfaces/msg/Response"
-STRING = "std_msgs/msg/String"
-MSG = Path(__file__).parents[2] / "src/abrace_interfaces/msg/Response.msg"
-STORE = get_typestore(Stores.ROS2_JAZZY)
-STORE.register(get_types_from_msg(MSG.read_text(), RESPONSE))
-TYPES: dict[str, Any] = dict(STORE.types)
-DEFINITIONS = {name: STORE.generate_msgdef(name, ros_version=2)[0] for name in (RESPONSE, STRING)}
+if TYPE_CHECKING:
+    from pathlib import Path
+
 LOST = (4, 5, 9)
 
 
@@ -36,12 +31,10 @@ def bag(tmp_path: Path) -> Path:
         notes = bag.add_topic("/note", STRING, DEFINITIONS[STRING], "")
         for k in set(range(20)) - set(LOST):
             x = source.normal(size=10)
-            header = TYPES["std_msgs/msg/Header"](TYPES["builtin_interfaces/msg/Time"](9, 2_000_000 * k), "table")
-            message = TYPES[RESPONSE](header, k, x[:3], x[3:6], x[6:7], x[7:8], x[8:9], x[9])
             time = 1_700_000_000_000_000_000 + 2_000_000 * k
-            bag.write(responses, bytes(STORE.serialize_cdr(message, RESPONSE)), time, time)
+            bag.write(responses, serialised(response_message(k, x, 9, 2_000_000 * k)), time, time)
         for text in ('a "word", a comma', ""):
-            bag.write(notes, bytes(STORE.serialize_cdr(TYPES[STRING](data=text), STRING)), time, time)
+            bag.write(notes, note(text), time, time)
     return tmp_path / "bag"
 
 

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mcap.reader
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from reference_messages import DEFINITIONS, RESPONSE, STORE, STRING, note, response_message, serialised
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from abrace_core.bag import BagWriter, read_topics
 from abrace_core.errors import AbraceError
 
-RESPONSE = "abrace_interfaces/msg/Response"
-STRING = "std_msgs/msg/String"
-MSG = Path(__file__).parents[2] / "src/abrace_interfaces/msg/Response.msg"
-STORE = get_typestore(Stores.ROS2_JAZZY)
-STORE.register(get_types_from_msg(MSG.read_text(), RESPONSE))
-TYPES: dict[str, Any] = dict(STORE.types)
-DEFINITIONS = {name: STORE.generate_msgdef(name, ros_version=2)[0] for name in (RESPONSE, STRING)}
+if TYPE_CHECKING:
+    from pathlib import Path
+
 FIELDS = ("displacement", "acceleration", "stroke", "force", "command", "ground_acceleration")
 
 
@@ -34,12 +29,10 @@ def write_bag(directory: Path, samples: int = 400, seed: int = 0) -> Path:
         notes = bag.add_topic("/note", STRING, DEFINITIONS[STRING], "")
         for k in range(samples):
             x = source.normal(size=10) * 10.0 ** source.integers(-300, 300, 10)
-            stamp = TYPES["builtin_interfaces/msg/Time"](int(source.integers(-(2**31), 2**31)), k)
-            header = TYPES["std_msgs/msg/Header"](stamp, "table")
-            message = TYPES[RESPONSE](header, k, x[:3], x[3:6], x[6:7], x[7:8], x[8:9], x[9])
-            bag.write(responses, bytes(STORE.serialize_cdr(message, RESPONSE)), 10 * k, 10 * k + 1)
+            message = response_message(k, x, int(source.integers(-(2**31), 2**31)), k)
+            bag.write(responses, serialised(message), 10 * k, 10 * k + 1)
             if k == 210:
-                bag.write(notes, bytes(STORE.serialize_cdr(TYPES[STRING](data="here"), STRING)), 2100, 2100)
+                bag.write(notes, note("here"), 2100, 2100)
             if k % 50 == 49:
                 bag.flush()
     return directory / f"{directory.name}_0.mcap"

@@ -135,6 +135,8 @@ def test_attached_files_come_back_whole_and_damage_to_them_is_seen(tmp_path: Pat
         found = {one.name: one.data for one in mcap.reader.make_reader(file).iter_attachments()}
     assert found == {"rig.yaml": rig.read_bytes(), "record.at2": record.read_bytes()}
     assert notes_of(tmp_path / "bag") == texts
+    assert read_topics(path).attachments == found
+    assert read_topics(path, begin=0, end=1).attachments == found, "by the index, too"
     path.write_bytes(path.read_bytes().replace(b"storeys: 3\n", b"storeys: 4\n"))
     assert any("checksum" in warning for warning in read_topics(path).warnings)
 

@@ -44,6 +44,7 @@ PACKAGES = {
     "plant": "abrace_plant",
     "ground_motion": "abrace_plant",
     "logger": "abrace_plant",
+    "replay": "abrace_plant",
     "excitation": "abrace_sysid",
     "controller": "abrace_lqg",
 }
@@ -101,7 +102,7 @@ class Graph:
         log = self.folder / f"{name}.log"
         process = self.processes.start(name, [*command, *arguments], log)
         self.started[name] = process
-        if executable != "logger":
+        if executable not in ("logger", "replay"):
             self._client(ChangeState, f"{name}/change_state")
             self._client(GetState, f"{name}/get_state")
             self._client(Trigger, f"{name}/clear_fault")

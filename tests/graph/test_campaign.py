@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from domain_coordinator import domain_id
 
-from abrace_core.bag import read_facts, read_run
+from abrace_core.bag import read_facts, read_run, read_topics
 
 NOISE = "{record: white_noise, rms: 0.25, band: [0.0, 10.0], seed: 1}"
 
@@ -80,6 +80,7 @@ def test_a_campaign_records_every_sample_shows_progress_and_reports(tmp_path, en
         facts = read_facts(bags / step)
         assert facts["rig"] == "ncree_three_storey"
         assert "masses" in facts["rig_file"]
+        assert read_topics(bags / step, []).attachments.keys() == {"ncree_three_storey.yaml"}
     assert not nodes_of(tmp_path)
 
 

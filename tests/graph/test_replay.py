@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from abrace_bringup.parameters import parameter_file
 from abrace_core.bag import BagWriter, message_definition
 from abrace_core.bag.raw_messages import read_raw
 from abrace_core.controller_file import Controller, save_controller
@@ -24,22 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from abrace_bringup.processes import NodeProcess
 
-NODE = "import sys; from abrace_plant.nodes.replay import main; sys.exit(main())"
 SAMPLES = 1000
 STEP = 20_000_000
-
-pytestmark = pytest.mark.usefixtures("domain")
-
-
-def start_replay(graph: Any, bag: Path | str, *arguments: str, **parameters: Any) -> NodeProcess:
-    """The node, for the bag."""
-    file = parameter_file(graph.folder / "replay.yaml", {"bag": str(bag), **parameters})
-    command = [sys.executable, "-c", NODE, "--ros-args", "-r", f"__ns:={graph.namespace}", "--params-file", file]
-    process = graph.processes.start("replay", [*command, *arguments], graph.folder / "replay.log")
-    graph.started["replay"] = process
-    return process
 
 
 def end_of_replay(graph: Any, said: str) -> int:
@@ -123,9 +108,8 @@ def test_a_controller_answers_the_recorded_responses_with_the_recorded_commands_
     assert len({payload[-8:] for payload in recorded}) > SAMPLES // 2, "the commands are none to speak of"
     commands = listen_raw(graph, BraceCommand, "brace_command")
     graph.start("controller", "--params-file", controller)
-    start_replay(
-        graph, bag, "-r", f"{namespace}/response:=response", topics=["response"], lockstep=True, start_paused=True
-    )
+    remap = ["-r", f"{namespace}/response:=response"]
+    graph.start("replay", *remap, bag=str(bag), topics=["response"], lockstep=True, start_paused=True)
     graph.until_matched("controller", response=1, brace_command=2)
     graph.until_matched("replay", **{f"{namespace}/response": 1, f"{graph.namespace}/brace_command": 1})
     for count in (1, 2, 3):
@@ -145,7 +129,7 @@ def test_a_response_without_an_answer_ends_a_lockstep_replay(graph: Any, run: tu
     responses = graph.listen(Response, "response")
     remap = ("-r", f"{namespace}/response:=response")
     graph.may_end.add("replay")
-    start_replay(graph, bag, *remap, topics=["response"], lockstep=True, lockstep_timeout=0.1)
+    graph.start("replay", *remap, bag=str(bag), topics=["response"], lockstep=True, lockstep_timeout=0.1)
     assert end_of_replay(graph, f"no answer to sample 0 on {graph.namespace}/brace_command within 0.1 s") == 1
     assert [response.sequence for response in responses] in ([], [0])
 
@@ -154,7 +138,7 @@ def test_every_message_comes_again_as_it_was_and_the_latched_one_to_who_comes_la
     said = listen_raw(graph, String, "words")
     clock = graph.listen(Clock, "/clock")
     remap = ("-r", "/lab/said:=words", "-r", "/lab/title:=title")
-    start_replay(graph, texts, *remap, start_paused=True, clock=True, rate=0.5)
+    graph.start("replay", *remap, bag=str(texts), start_paused=True, clock=True, rate=0.5)
     graph.until_matched("replay", **{"/lab/said": 1})
     assert graph.call(Trigger, "replay/step", Trigger.Request()).success
     assert graph.call(Trigger, "replay/step", Trigger.Request()).success
@@ -178,7 +162,7 @@ def test_every_message_comes_again_as_it_was_and_the_latched_one_to_who_comes_la
 
 def test_a_loop_goes_on_until_a_signal_ends_it(graph: Any, texts: Path) -> None:
     said = listen_raw(graph, String, "/lab/said")
-    start_replay(graph, texts, topics=["said"], loop=True, rate=20.0)
+    graph.start("replay", bag=str(texts), topics=["said"], loop=True, rate=20.0)
     graph.until(lambda: len(said) > 50, "the fifth round")
     first = int(said[0][14:15])
     assert said == [text(f"words {(first + k) % 10}") for k in range(len(said))]
@@ -200,14 +184,14 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(
     graph: Any, texts: Path, parameters: dict[str, Any], complaint: str
 ) -> None:
     graph.may_end.add("replay")
-    start_replay(graph, texts, **parameters)
+    graph.start("replay", bag=str(texts), **parameters)
     assert end_of_replay(graph, complaint) == 2
     assert len(graph.said("replay")) == 1
 
 
 def test_a_bag_that_is_not_there_is_refused_in_one_line(graph: Any) -> None:
     graph.may_end.add("replay")
-    start_replay(graph, "nowhere")
+    graph.start("replay", bag="nowhere")
     assert end_of_replay(graph, "nowhere: no such bag") == 2
     assert len(graph.said("replay")) == 1
 
@@ -216,6 +200,6 @@ def test_a_type_that_is_not_installed_is_refused_in_one_line(graph: Any, tmp_pat
     with BagWriter(tmp_path / "odd", {}) as bag:
         bag.write(bag.add_topic("/odd", "odd_msgs/msg/Odd", "int8 x\n", ""), b"\0\1\0\0\1", 1, 1)
     graph.may_end.add("replay")
-    start_replay(graph, tmp_path / "odd")
+    graph.start("replay", bag=str(tmp_path / "odd"))
     assert end_of_replay(graph, "topic /odd: message type odd_msgs/Odd is not installed") == 2
     assert len(graph.said("replay")) == 1

@@ -89,12 +89,14 @@ def bag_information(bag: Path) -> str:
             f"{topic.rate:.2f}",
             "-" if topic.gaps is None else str(topic.gaps),
             "-" if topic.missing is None else str(topic.missing),
+            "-" if topic.lost is None else str(topic.lost),
         )
         for topic in found.topics
     )
-    header = ("topic", "type", "messages", "rate [1/s]", "gaps", "missing")
+    header = ("topic", "type", "messages", "rate [1/s]", "gaps", "missing", "lost")
     lines.append(Table("Topics", header, rows).text())
     lines += [f"{name}: {_shortened(text)}" for name, text in found.facts.items()]
+    lines += [f"attachment {name}: {size} bytes" for name, size in found.attachments.items()]
     lines += [f"WARNING: {warning}" for warning in found.warnings]
     return "\n".join(lines)
 

@@ -39,6 +39,7 @@ from abrace_core.linear_model import pole_table, save_model
 from abrace_core.node import find_file
 from abrace_core.progress import Progress
 from abrace_plant.published import PAPER_POLES
+from abrace_plant.record_files import record_file
 from abrace_plant.rig_file import load_rig
 from abrace_sysid import figures
 
@@ -122,7 +123,12 @@ class Runner:
         topics = ["response", *inputs, "diagnostics"]
         bag = self.bags / name
         facts = self.facts(name, test, seed)
-        logger = {"output": str(bag), "topics": topics, "facts": [f"{key}={value}" for key, value in facts.items()]}
+        logger = {
+            "output": str(bag),
+            "topics": topics,
+            "facts": [f"{key}={value}" for key, value in facts.items()],
+            "attachments": [str(path) for path in self.attachments(test)],
+        }
         plant = {
             "rig": str(self.rig_file),
             "seed": seed,
@@ -210,7 +216,7 @@ class Runner:
                     "abrace_lqg",
                     "design",
                     {
-                        "model": str(self.results / model / "reduced.json"),
+                        "model": str(self.design_model(task)),
                         "check_models": [*(str(self.results / model / name) for name in CHECKS), str(self.rig_model())],
                         "weights": weights,
                         "sample_period": 1 / self.rig.sample_rate,
@@ -282,6 +288,23 @@ class Runner:
         if isinstance(test.ground_motion, Record):
             facts["peak_acceleration"] = repr(test.ground_motion.peak_acceleration)
         return facts
+
+    def attachments(self, test: RigTest) -> list[Path]:
+        """The files that a test is made of, which go into its bag: rig, controller, its model, record."""
+        paths = [self.rig_file]
+        if test.controller:
+            paths.append(self.controller_file(test.controller))
+            for step in self.campaign.steps:
+                if step.name == test.controller and isinstance(step.task, Design):
+                    paths.append(self.design_model(step.task))
+        if isinstance(test.ground_motion, Record):
+            record = record_file(test.ground_motion.record)
+            paths += [record] if record.is_file() else []
+        return paths
+
+    def design_model(self, design: Design) -> Path:
+        """The file of the model that a controller is designed on."""
+        return self.results / design.model / "reduced.json"
 
     def write_timing(self) -> None:
         """Write the campaign's timing.json."""

@@ -42,10 +42,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser().parse_args(arguments)
     try:
         with terminate_as_exception():
-            return _carry_out(given)
+            code = _carry_out(given)
+            sys.stdout.flush()
+            return code
     except AbraceError as error:
         print(f"abrace: {error}", file=sys.stderr)
         return 1 if isinstance(error, NodeDied) and error.returncode != WRONG_INPUT else WRONG_INPUT
+    except BrokenPipeError:
+        # who read the output has had enough; what Python still writes at its end goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except KeyboardInterrupt:
         print("abrace: stopped", file=sys.stderr)
         return 130

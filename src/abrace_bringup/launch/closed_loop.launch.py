@@ -42,7 +42,7 @@ def generate_launch_description() -> LaunchDescription:
                 executable="logger",
                 namespace=namespace,
                 output="screen",
-                parameters=[{"output": text("bag")}],
+                parameters=[{"output": text("bag"), "attachments": [[given["controller"]]]}],
             ),
             Node(
                 package="abrace_lqg",

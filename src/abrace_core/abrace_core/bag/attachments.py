@@ -1,13 +1,15 @@
-"""Files of a run that go into its bag whole: rig, model, controller, record."""
+"""Files of a run that stand in its bag whole: rig, model, controller, record."""
 
 from __future__ import annotations
 
 import mimetypes
 import time
+import zlib
 from typing import TYPE_CHECKING
 
 from mcap.records import Attachment
 
+from abrace_core.bag.mcap_records import DamagedError, RecordFields
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -39,3 +41,23 @@ def file_attachments(paths: Sequence[Path]) -> list[Attachment]:
         media_type = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
         attachments[path.name] = Attachment(changed, time.time_ns(), path.name, media_type, content)
     return list(attachments.values())
+
+
+def parse_attachment(body: bytes) -> Attachment:
+    """An attachment from the `body` of its record.
+
+    Raises
+    ------
+    DamagedError
+        If it does not fit its checksum, or its lengths do not fit.
+    """
+    fields = RecordFields(body)
+    times = fields.number(8), fields.number(8)
+    name, media_type = fields.text(), fields.text()
+    data = fields.take(fields.number(8))
+    checksum = fields.number(4)
+    fields.end()
+    if checksum not in (0, zlib.crc32(body[:-4])):
+        raise DamagedError("is an attachment that does not fit its checksum")
+    log_time, create_time = times
+    return Attachment(create_time, log_time, name, media_type, data)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.bag.reader import bag_files, read_topics
+from abrace_core.bag.tally import tallied_losses
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,6 +32,8 @@ class TopicDescription:
         Places where `sequence` skips numbers; None for messages without one.
     missing
         Numbers skipped in all; None for messages without a `sequence`.
+    lost
+        Messages that the logger lost, as the bag says; None where it doesn't.
     """
 
     name: str
@@ -39,6 +42,7 @@ class TopicDescription:
     rate: float
     gaps: int | None
     missing: int | None
+    lost: int | None
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,8 @@ class BagDescription:
         How many those are.
     facts
         What it says of its run.
+    attachments
+        Bytes of the files that are in it, by name.
     warnings
         What is missing or can't be trusted, one sentence each.
     """
@@ -67,6 +73,7 @@ class BagDescription:
     size: int
     files: int
     facts: dict[str, str]
+    attachments: dict[str, int]
     warnings: tuple[str, ...]
 
     @property
@@ -86,18 +93,20 @@ def describe(bag: Path | str) -> BagDescription:
     contents = read_topics(bag)
     files = bag_files(bag)
     times = [messages.log_time for messages in contents.values() if messages.log_time.size]
+    lost = tallied_losses(contents.records)
     return BagDescription(
-        topics=tuple(_topic(name, contents[name]) for name in sorted(contents)),
+        topics=tuple(_topic(name, contents[name], lost.get(name)) for name in sorted(contents)),
         begin=min((int(time.min()) for time in times), default=0),
         end=max((int(time.max()) for time in times), default=0),
         size=sum(path.stat().st_size for path in files),
         files=len(files),
         facts=contents.facts,
+        attachments={name: len(data) for name, data in contents.attachments.items()},
         warnings=contents.warnings,
     )
 
 
-def _topic(name: str, messages: TopicArrays) -> TopicDescription:
+def _topic(name: str, messages: TopicArrays, lost: int | None) -> TopicDescription:
     time = messages.log_time
     span = 1e-9 * int(time.max() - time.min()) if time.size > 1 else 0.0
     sequence = messages.fields.get("sequence")
@@ -106,4 +115,4 @@ def _topic(name: str, messages: TopicArrays) -> TopicDescription:
         skipped = np.diff(np.unique(sequence)).astype(np.int64) - 1
         gaps, missing = int((skipped > 0).sum()), int(skipped.sum())
     rate = (time.size - 1) / span if span else 0.0
-    return TopicDescription(name, messages.type_name, time.size, rate, gaps, missing)
+    return TopicDescription(name, messages.type_name, time.size, rate, gaps, missing, lost)

@@ -15,6 +15,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
+from abrace_core.bag.attachments import parse_attachment
 from abrace_core.bag.chunks import Chunk, find_chunk, parse_chunk, unpack, unpack_beginning
 from abrace_core.bag.mcap_index import Index, read_index
 from abrace_core.bag.mcap_records import (
@@ -33,6 +34,7 @@ from abrace_core.errors import AbraceError
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from mcap.records import Attachment
     from numpy.typing import NDArray
 
 _DATA_END_SIZE = RECORD_HEAD.size + 4
@@ -56,8 +58,10 @@ class McapFile:
         Messages by channel number.
     facts
         The run's facts; None where there are none, or they are damaged.
+    metadata
+        All metadata records: texts by key, by the record's name.
     attachments
-        How many there are.
+        Files of the run.
     warnings
         What is missing or can't be trusted, one sentence each.
     uncounted
@@ -71,7 +75,8 @@ class McapFile:
 
     def __init__(self, path: Path, wanted: Wanted) -> None:
         self.facts: dict[str, str] | None = None
-        self.attachments = 0
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.attachments: list[Attachment] = []
         self.warnings: list[str] = []
         self.uncounted = False
         self._path = path
@@ -108,9 +113,9 @@ class McapFile:
             return False
         self._found.descriptions = index.descriptions
         try:
-            for offset in index.metadata.get(FACTS_RECORD, []):
+            for offset in index.beside:
                 file.seek(offset)
-                self._metadata(next_record(file, self._size)[1])
+                self._beside(*next_record(file, self._size))
             for place in needed:
                 file.seek(place.offset)
                 opcode, body = next_record(file, self._size)
@@ -121,6 +126,8 @@ class McapFile:
                 self._found.take(unpack(chunk), self._messages_said(file))
         except DamagedError:
             self.facts, self._unchecked = None, 0
+            self.metadata.clear()
+            self.attachments.clear()
             self.warnings.clear()
             return False
         self._warn_of_unchecked()
@@ -188,31 +195,32 @@ class McapFile:
             self._loose += RECORD_HEAD.pack(opcode, len(body)) + body
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._found.descriptions.add(opcode, body)
-        elif opcode == Opcode.METADATA:
-            self._metadata(body)
+        elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
+            self._beside(opcode, body)
         elif opcode == Opcode.MESSAGE_INDEX:
             _message_index(body)
         elif opcode == Opcode.HEADER:
             fields.text()
             fields.text()
             fields.end()
-        elif opcode == Opcode.ATTACHMENT:
-            if len(body) < 4 or zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
-                raise DamagedError("is an attachment that does not fit its checksum")
-            self.attachments += 1
         elif opcode < 0x80:
             raise DamagedError(f"is of an unknown kind ({opcode:#04x})")
         else:
             self._warn(f"the record at byte {offset} is of an unknown kind ({opcode:#04x}) and left out")
 
-    def _metadata(self, body: bytes) -> None:
+    def _beside(self, opcode: int, body: bytes) -> None:
+        """Take in what stands beside the messages: an attachment or a metadata record."""
+        if opcode == Opcode.ATTACHMENT:
+            self.attachments.append(parse_attachment(body))
+            return
         fields = RecordFields(body)
         name = fields.text()
         texts = fields.texts()
         fields.end()
+        self.metadata[name] = texts
         if name == FACTS_RECORD:
             try:
-                self.facts = checked_facts(self._path, texts)
+                self.facts = checked_facts(self._path, dict(texts))
             except AbraceError as error:
                 self.warnings.append(str(error))
 

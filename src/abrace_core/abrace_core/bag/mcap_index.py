@@ -77,8 +77,8 @@ class Index:
         Messages by channel number; None where that is not said.
     chunks
         In the order in which they stand in the file.
-    metadata
-        Offsets of the metadata records of each name.
+    beside
+        Offsets of the attachments and the metadata records.
     begin
         Where the index begins.
     """
@@ -87,7 +87,7 @@ class Index:
     descriptions: Descriptions = field(default_factory=Descriptions)
     counts: Mapping[int, int] | None = None
     chunks: list[ChunkIndex] = field(default_factory=list)
-    metadata: dict[str, list[int]] = field(default_factory=dict)
+    beside: list[int] = field(default_factory=list)
 
 
 def read_index(file: BinaryIO, size: int) -> Index | None:
@@ -134,7 +134,5 @@ def _add(index: Index, opcode: int, body: bytes) -> None:
     elif opcode == Opcode.CHUNK_INDEX:
         begin, end, offset, size = (fields.number(8) for _ in range(4))
         index.chunks.append(ChunkIndex(begin, end, offset, size, frozenset(fields.numbers(2))))
-    elif opcode == Opcode.METADATA_INDEX:
-        offset = fields.number(8)
-        fields.take(8)
-        index.metadata.setdefault(fields.text(), []).append(offset)
+    elif opcode in (Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX):
+        index.beside.append(fields.number(8))

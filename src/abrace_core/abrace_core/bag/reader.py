@@ -57,12 +57,25 @@ class BagContents(dict[str, TopicArrays]):
         What the bag says of its run; empty where it says nothing.
     warnings
         What is missing or can't be trusted, one sentence each; empty where all is well.
+    records
+        Its metadata records: texts by key, by the record's name.
+    attachments
+        Files that are in it, by name.
     """
 
-    def __init__(self, topics: dict[str, TopicArrays], facts: dict[str, str], warnings: tuple[str, ...]) -> None:
+    def __init__(
+        self,
+        topics: dict[str, TopicArrays],
+        facts: dict[str, str],
+        warnings: tuple[str, ...],
+        records: dict[str, dict[str, str]],
+        attachments: dict[str, bytes],
+    ) -> None:
         super().__init__(topics)
         self.facts = facts
         self.warnings = warnings
+        self.records = records
+        self.attachments = attachments
 
 
 def read_topics(
@@ -118,7 +131,9 @@ def read_selected(
             warnings.append(f"{bag}: topic {topic} is left out: {error}")
     if any(file.uncounted for file in files):
         warnings += [f"{bag}: {missing_messages(topic, found)}" for topic, found in contents.items()]
-    return BagContents(contents, facts, tuple(warnings))
+    records = {name: texts for file in files for name, texts in file.metadata.items()}
+    attachments = {attachment.name: attachment.data for file in files for attachment in file.attachments}
+    return BagContents(contents, facts, tuple(warnings), records, attachments)
 
 
 def read_facts(bag: Path | str) -> dict[str, str]:

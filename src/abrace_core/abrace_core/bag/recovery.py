@@ -10,7 +10,8 @@ import yaml
 from abrace_core.bag.mcap_file import McapFile
 from abrace_core.bag.reader import bag_files, missing_files, missing_messages, read_topics
 from abrace_core.bag.selection import Wanted
-from abrace_core.bag.writer import BagWriter
+from abrace_core.bag.tally import tallied_losses
+from abrace_core.bag.writer import WRITTEN_RECORDS, BagWriter
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -38,8 +39,8 @@ class Recovered:
 def recover(bag: Path | str, output: Path | str) -> Recovered:
     """Write a whole bag of everything that can be read of another.
 
-    Messages, their times, types and QoS and the run's facts are kept as they are; they stand in the order of their log
-    times, file after file.
+    Messages, their times, types and QoS, the run's facts, the other metadata and the attachments are kept as they are;
+    messages stand in the order of their log times, file after file.
 
     Parameters
     ----------
@@ -62,8 +63,6 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
             warnings.append(f"{error}; nothing is read of it")
     for file in files:
         warnings += file.warnings
-        if file.attachments:
-            warnings.append(f"{bag}: {file.attachments} attachments are left out")
     types: dict[str, str] = {}
     usable = [_usable(str(bag), file, types, warnings) for file in files]
     found = (stream.count for file, numbers in zip(files, usable, strict=True) for stream in _streams(file, numbers))
@@ -71,9 +70,13 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
         why = f" ({'; '.join(warnings)})" if warnings else ""
         raise AbraceError(f"{bag}: no message in it that can be read{why}")
     facts = next((file.facts for file in files if file.facts is not None), {})
+    records = {name: texts for file in files for name, texts in file.metadata.items()}
+    lost = tallied_losses(records)
+    records = {name: texts for name, texts in records.items() if name not in WRITTEN_RECORDS}
+    attachments = [attachment for file in files for attachment in file.attachments]
     counts: dict[str, int] = {}
     topics: dict[str, int] = {}
-    with BagWriter(output, facts) as writer:
+    with BagWriter(output, facts, records=records, attachments=attachments) as writer:
         for file, numbers in zip(files, usable, strict=True):
             messages = []
             for number in numbers:
@@ -86,6 +89,8 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
                     counts[channel.topic] += file.streams[number].count
             for topic_id, log_time, publish_time, payload in sorted(messages, key=lambda message: message[1]):
                 writer.write(topic_id, payload, log_time, publish_time)
+        for topic, topic_id in topics.items():
+            writer.add_lost(topic_id, lost.get(topic, 0))
     if any(file.uncounted for file in files):
         warnings += [f"{bag}: {missing_messages(topic, found)}" for topic, found in read_topics(output).items()]
     return Recovered(counts, tuple(warnings))
@@ -118,6 +123,6 @@ def _add(writer: BagWriter, channel: Channel) -> int:
         profiles = yaml.safe_load(channel.details.get("offered_qos_profiles", ""))
     except yaml.YAMLError:
         profiles = None
-    qos = profiles[0] if isinstance(profiles, list) and profiles and isinstance(profiles[0], dict) else None
+    known = profiles if isinstance(profiles, list) and all(isinstance(profile, dict) for profile in profiles) else []
     type_hash = channel.details.get("topic_type_hash", "")
-    return writer.add_topic(channel.topic, channel.type_name, channel.definition, type_hash, qos)
+    return writer.add_topic(channel.topic, channel.type_name, channel.definition, type_hash, *known)

@@ -99,3 +99,20 @@ def tally_texts(tallies: Mapping[str, Tally]) -> dict[str, str]:
         )
         for topic, tally in tallies.items()
     }
+
+
+def tallied_losses(records: Mapping[str, Mapping[str, str]]) -> dict[str, int]:
+    """Messages lost, by topic, as far as a bag says it.
+
+    Parameters
+    ----------
+    records
+        The bag's metadata records.
+    """
+    losses = {}
+    for topic, text in records.get(TALLY_RECORD, {}).items():
+        try:
+            losses[topic] = int(json.loads(text)["lost"])
+        except (ValueError, KeyError, TypeError):
+            continue
+    return losses

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from mcap.records import Channel, Schema
 
-from abrace_core.bag.chunks import compressor
 from abrace_core.bag.mcap_records import CHECKSUM_KEY, FACTS_RECORD, facts_checksum
 from abrace_core.bag.mcap_writer import McapWriter
 from abrace_core.bag.open_chunk import compressor
@@ -25,6 +24,11 @@ if TYPE_CHECKING:
     from mcap.records import Attachment
 
 __all__ = ["BagWriter", "offered_qos"]
+
+ROSBAG2_RECORD = "rosbag2"
+"""Name of the metadata record that tells rosbag2 what metadata.yaml says."""
+WRITTEN_RECORDS = (FACTS_RECORD, ROSBAG2_RECORD, TALLY_RECORD)
+"""Names of the metadata records that a writer makes itself."""
 
 
 class BagWriter:
@@ -305,7 +309,7 @@ class BagWriter:
     def _write_information(self) -> None:
         """What metadata.yaml would say of this file alone, in the file itself: rosbag2 reads a single file by it."""
         information = bag_information(self._topics, [self._span], self._facts)
-        self._file.add_metadata("rosbag2", {"serialized_metadata": yaml_text(information).rstrip()})
+        self._file.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": yaml_text(information).rstrip()})
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:

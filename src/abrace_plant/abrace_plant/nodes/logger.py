@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_srvs.srv import Trigger
 
@@ -25,6 +23,7 @@ from abrace_core.bag.versions import installed_versions
 from abrace_core.bag.writing_thread import WritingThread
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceNode, Parameter, RCLError, rcl_message, run
+from abrace_core.raw_subscription import DEPTH, RawSubscription, only_type
 
 PARAMETERS = [
     Parameter("output", "", "bag (a new directory) to write", required=True),
@@ -45,8 +44,6 @@ LOOK_FOR_TOPICS = 0.05
 """Seconds between looks for topics that have not appeared yet."""
 TAKE_PERIOD = 0.005
 """Seconds between looks for messages, which the middleware has taken in; a callback for each would cost more."""
-DEPTH = 5000
-"""Messages that may wait for the logger on each topic: ten seconds of samples."""
 MOST_AT_ONCE = 500
 """Messages taken of a topic before the others' turn: in a flood, too, the logger answers and can be stopped."""
 
@@ -58,44 +55,22 @@ class Recorded:
     Parameters
     ----------
     subscription
-        Whose messages are taken here, not by an executor.
+        Where its messages come from.
     topic_id
         In the bag.
-    type_name
-        Of its messages.
-    publishers
-        The most that there were at a time.
     count
         Messages taken for the bag.
-    last
-        The middleware's number of the last message; 0: none yet.
-    skipped
-        Numbers of the middleware left out.
     """
 
-    subscription: Subscription
+    subscription: RawSubscription
     topic_id: int
-    type_name: str
-    publishers: int
     count: int = 0
-    last: int = 0
-    skipped: int = 0
-
-    @property
-    def lost(self) -> int:
-        """Messages lost, where one publisher alone has numbered them."""
-        return self.skipped if self.publishers == 1 else 0
-
-    @property
-    def latched(self) -> bool:
-        """Whether what was said once holds on: it is recorded while the logger pauses, too."""
-        return self.subscription.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
 
 class Logger(AbraceNode):
     """Writes every message of its topics as it came from the wire.
 
-    Its subscriptions belong to a hidden node that no executor turns: `tick` takes what has come.
+    Its subscriptions belong to a hidden node: `tick` takes what has come.
     """
 
     def __init__(self) -> None:
@@ -163,13 +138,13 @@ class Logger(AbraceNode):
             with writing.bag() as bag:
                 directory = bag.directory
                 for topic in self.recorded.values():
-                    bag.add_lost(topic.topic_id, topic.lost)
+                    bag.add_lost(topic.topic_id, topic.subscription.lost)
             writing.close()
             tallies = bag.tallies()
         finally:
             self.writing = None
             for topic in self.recorded.values():
-                self.input.destroy_subscription(topic.subscription)
+                topic.subscription.close()
             self.recorded = {}
         shown = {self.given_names.get(name, name): tally for name, tally in tallies.items()}
         lost = ", ".join(f"{tally.lost} of {name}" for name, tally in shown.items() if tally.lost)
@@ -191,7 +166,7 @@ class Logger(AbraceNode):
         there = dict(self.get_topic_names_and_types())
         for name in sorted(self.choice.of(there)):
             topic = self.recorded.get(name)
-            known = topic is not None and topic.subscription.get_publisher_count() == self.count_publishers(name)
+            known = topic is not None and topic.subscription.count_publishers() == self.count_publishers(name)
             if name in self.complaints or (known and len(there[name]) == 1):
                 continue
             publishers = self.get_publishers_info_by_topic(name)
@@ -201,14 +176,11 @@ class Logger(AbraceNode):
                 if topic is None:
                     self.record(name, publishers)
                 else:
-                    self.follow(name, topic, publishers)
+                    taken = topic.subscription.follow(publishers, self.writer(topic))
+                    topic.count += taken if self.wants(topic) else 0
             except AbraceError as error:
                 self.complain(name, error)
-        matched = 0
-        for topic in self.recorded.values():
-            count = topic.subscription.get_publisher_count()
-            topic.publishers = max(topic.publishers, count)
-            matched += count
+        matched = sum(topic.subscription.count_publishers() for topic in self.recorded.values())
         if matched != self.matched:
             self.matched = matched
             self.publish_diagnostics()
@@ -220,39 +192,13 @@ class Logger(AbraceNode):
         self.publish_diagnostics()
 
     def record(self, name: str, publishers: list[TopicEndpointInfo]) -> None:
-        """Subscribe to a topic as its publishers offer it."""
-        definition = message_definition(_only_type(name, publishers))
+        """Subscribe to a topic."""
+        definition = message_definition(only_type(name, publishers))
         offered = [offered_qos(publisher.qos_profile) for publisher in publishers]
-        subscription = self.subscribe(name, definition.type_name, _matching_qos(publishers))
+        subscription = RawSubscription(self.input, name, publishers)
         with self.open_bag().bag() as bag:
             topic_id = bag.add_topic(name, definition.type_name, definition.text, definition.type_hash, *offered)
-        self.recorded[name] = Recorded(subscription, topic_id, definition.type_name, len(publishers))
-
-    def follow(self, name: str, topic: Recorded, publishers: list[TopicEndpointInfo]) -> None:
-        """Subscribe anew where a publisher has come that offers less than the subscription asks for.
-
-        What the others publish until the new subscription is matched is not recorded.
-        """
-        _only_type(name, publishers)
-        old = topic.subscription
-        qos, before = _matching_qos(publishers), old.qos_profile
-        less_reliable = before.reliability == ReliabilityPolicy.RELIABLE != qos.reliability
-        less_kept = before.durability == DurabilityPolicy.TRANSIENT_LOCAL != qos.durability
-        if not (less_reliable or less_kept):
-            return
-        new = self.subscribe(name, topic.type_name, qos)
-        self.take(topic, DEPTH)
-        topic.subscription = new
-        self.input.destroy_subscription(old)
-
-    def subscribe(self, name: str, type_name: str, qos: QoSProfile) -> Subscription:
-        """A subscription whose messages are taken by `take`."""
-        package, _, short_name = type_name.split("/")
-        try:
-            message_type = getattr(importlib.import_module(f"{package}.msg"), short_name)
-        except (ImportError, AttributeError) as error:
-            raise AbraceError(f"topic {name}: message type {type_name} is not installed for Python") from error
-        return self.input.create_subscription(message_type, name, _never_called, qos, raw=True)
+        self.recorded[name] = Recorded(subscription, topic_id)
 
     def tick(self) -> None:
         """Take what has come."""
@@ -269,23 +215,21 @@ class Logger(AbraceNode):
 
     def take(self, topic: Recorded, most: int) -> int:
         """Take a topic's messages that have come, `most` of them; returns how many those were."""
-        write = self.open_bag().write if self.snapshot is None else self.snapshot.write
-        wanted = not self.paused or topic.latched
-        topic_id, message_type, handle = topic.topic_id, topic.subscription.msg_type, topic.subscription.handle
-        with handle:
-            for number in range(most):
-                taken = handle.take_message(message_type, True)
-                if taken is None:
-                    return number
-                payload, info = taken
-                if wanted:
-                    write(topic_id, payload, info["received_timestamp"], info["source_timestamp"])
-                    topic.count += 1
-                published = info["publication_sequence_number"]
-                if topic.last and published > topic.last + 1:
-                    topic.skipped += published - topic.last - 1
-                topic.last = published
-        return most
+        taken = topic.subscription.take(most, self.writer(topic))
+        if self.wants(topic):
+            topic.count += taken
+        return taken
+
+    def wants(self, topic: Recorded) -> bool:
+        """Whether what comes is recorded: while the logger pauses only what holds on."""
+        return not self.paused or topic.subscription.latched
+
+    def writer(self, topic: Recorded) -> Callable[[bytes, int, int], None]:
+        """Where a topic's messages go."""
+        if not self.wants(topic):
+            return _leave_out
+        to = self.open_bag() if self.snapshot is None else self.snapshot
+        return partial(to.write, topic.topic_id)
 
     def on_start(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Open a bag."""
@@ -364,9 +308,9 @@ class Logger(AbraceNode):
         overflowed = self.writing.overflowed if self.writing else {}
         for name, topic in self.recorded.items():
             shown = self.given_names.get(name, name)
-            values[f"publishers of {shown}"] = topic.subscription.get_publisher_count()
+            values[f"publishers of {shown}"] = topic.subscription.count_publishers()
             values[f"messages of {shown}"] = topic.count
-            values[f"lost of {shown}"] = topic.lost + overflowed.get(topic.topic_id, 0)
+            values[f"lost of {shown}"] = topic.subscription.lost + overflowed.get(topic.topic_id, 0)
         missing = sorted(given for name, given in self.given_names.items() if name not in self.recorded)
         if missing:
             values["not seen yet"] = ", ".join(missing)
@@ -389,28 +333,8 @@ class Logger(AbraceNode):
             raise AbraceError(f"{len(self.complaints)} topics not recorded as asked: {', '.join(self.complaints)}")
 
 
-def _only_type(name: str, publishers: list[TopicEndpointInfo]) -> str:
-    """The type that all publishers of a topic have."""
-    types = {publisher.topic_type for publisher in publishers}
-    if len(types) > 1:
-        raise AbraceError(f"topic {name}: has the types {', '.join(sorted(types))}, expected one")
-    return types.pop()
-
-
-def _matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
-    """The most that all publishers offer."""
-    offered = [publisher.qos_profile for publisher in publishers]
-    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
-    kept = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
-    return QoSProfile(
-        depth=DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
-    )
-
-
-def _never_called(message: bytes) -> None:
-    """The callback that a subscription has to have."""
+def _leave_out(payload: bytes, arrived: int, published: int) -> None:
+    """Takes what is not recorded."""
 
 
 def _fact(text: str) -> tuple[str, str]:

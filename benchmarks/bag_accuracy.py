@@ -1,0 +1,47 @@
+"""What a bag holds after the worst: loggers that were killed, files that were cut off or damaged.
+
+kills, opened       loggers killed at random moments, and bags of theirs that could be read
+missing             messages that those bags lack before their end
+worst_gap_seconds   from a bag's last message to the kill, the worst topic of all
+damaged_files, tracebacks, wrong_values, unsaid, least_read, read_fraction   as `bag_damage.py` has them
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from bag_damage import damage, damage_claims
+from claims import Claim
+from isolation import isolated
+from logger_endurance import NUMBERED, RATE, kills, logger_command, publishers, running, stop
+
+KILLS = 50
+DAMAGED_BAG = 4.0
+"""Seconds that the bag lasts which is cut off and damaged."""
+
+
+def verify_bags() -> tuple[dict[str, Any], list[Claim]]:
+    """Values for verify.json, and claims."""
+    with isolated():
+        values = kills(KILLS)
+        values |= damage(recorded_bag(Path("bag")))
+    claims = [
+        Claim("bags: killed loggers whose bag opens", values["opened"], KILLS, f"{KILLS} killed", least=True),
+        Claim("bags: messages missing before a bag's end", values["missing"], 0, "-"),
+        Claim("bags: from a bag's end to the kill, s", values["worst_gap_seconds"], 0.2, "-"),
+        *damage_claims(values),
+    ]
+    return values, claims
+
+
+def recorded_bag(bag: Path) -> Path:
+    """A short bag of three topics at 500 Hz, as the logger writes it."""
+    topics = list(NUMBERED)
+    with publishers() as (rig, folder):
+        log = folder / "logger.log"
+        with running(logger_command(rig.namespace, bag.absolute(), topics), log) as process:
+            rig.wait_for_match(topics)
+            rig.publish(RATE, DAMAGED_BAG, topics)
+            stop(process, log)
+    return bag

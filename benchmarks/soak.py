@@ -1,0 +1,130 @@
+"""Endurance of the logger: `make soak`. Writes results/soak.json and prints a table.
+
+graph   10 minutes of the closed loop in real time at 500 Hz (plant, ground motion, controller, logger) beside a process
+        that keeps one core busy: messages on three topics, those of them that were lost, share of a core that the
+        logger takes
+flood   the highest rate of one topic at which the logger loses nothing, beside a subscription that writes nothing
+
+python benchmarks/soak.py SECONDS    # another duration
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+from controller_speed import lqg3
+from isolation import isolated
+from logger_endurance import LOAD, cpu_seconds, flood_rates, running
+
+from abrace_bringup.campaign import run_campaign
+from abrace_bringup.table import Table
+from abrace_core.bag import read_topics
+from abrace_core.bag.tally import tallied_losses
+from abrace_core.controller_file import save_controller
+from abrace_core.files import write_text
+
+DURATION = 600.0
+CAMPAIGN = """name: soak
+rig: ncree_three_storey
+lockstep: false
+steps:
+  - name: closed_loop
+    test:
+      duration: {duration}
+      ground_motion: {{record: white_noise, rms: 0.1, band: [0.2, 30.0], seed: 1}}
+      controller: lqg3.yaml
+"""
+LOOP = ("response", "brace_command", "ground_motion")
+
+
+class LoggerUse:
+    """Looks once a second at the processor time of the logger that runs in a namespace."""
+
+    def __init__(self, namespace: str) -> None:
+        self._namespace = namespace
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._looks: list[tuple[float, float]] = []
+
+    def __enter__(self) -> LoggerUse:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    @property
+    def fraction(self) -> float:
+        """Share of a core, from the first look to the last."""
+        (begin, used), (end, used_in_all) = self._looks[0], self._looks[-1]
+        return (used_in_all - used) / (end - begin)
+
+    def _look(self) -> None:
+        while not self._stop.wait(1.0):
+            process = self._logger()
+            if process is None:
+                continue
+            try:
+                self._looks.append((os.times().elapsed, cpu_seconds(process)))
+            except OSError:
+                continue
+
+    def _logger(self) -> int | None:
+        for entry in Path("/proc").iterdir():
+            try:
+                words = (entry / "cmdline").read_bytes().split(b"\0") if entry.name.isdigit() else []
+            except OSError:
+                continue
+            if f"__ns:={self._namespace}".encode() in words and any(word.endswith(b"/logger") for word in words):
+                return int(entry.name)
+        return None
+
+
+def record_graph(duration: float) -> dict[str, Any]:
+    """The closed loop in real time for so many seconds, beside a busy core."""
+    save_controller(lqg3(), "lqg3.yaml")
+    campaign = Path("soak.yaml")
+    campaign.write_text(CAMPAIGN.format(duration=duration), encoding="utf-8")
+    with running(LOAD, Path("load.log")), LoggerUse("/soak") as use:
+        results = run_campaign(campaign)
+    (step,) = json.loads((results / "timing.json").read_text(encoding="utf-8"))["steps"]
+    (bag,) = Path("bags/soak").glob("*/closed_loop")
+    found = read_topics(bag, [f"/soak/{topic}" for topic in LOOP])
+    recorded = {topic: found[f"/soak/{topic}"].log_time.size for topic in LOOP}
+    lost = tallied_losses(found.records)
+    return {
+        # the plant says how many samples it published; of what answers them the middleware's numbers tell
+        "messages": step["samples"] + sum(recorded[topic] + lost[f"/soak/{topic}"] for topic in LOOP[1:]),
+        "lost": step["samples"] - recorded["response"] + sum(lost[f"/soak/{topic}"] for topic in LOOP[1:]),
+        "cpu_fraction": use.fraction,
+        "seconds": step["run_seconds"],
+        "recorded": recorded,
+    }
+
+
+def main() -> int:
+    """Measure, write, print."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    duration = float(sys.argv[1]) if sys.argv[1:] else DURATION
+    with isolated():
+        logger = record_graph(duration)
+        logger |= flood_rates()
+    write_text("results/soak.json", json.dumps({"logger": logger}, indent=1) + "\n")
+    bare = f"bare subscription {logger['bare_subscription_rate']:.0f}"
+    rows = (
+        (f"messages lost of {logger['messages']}", f"{logger['lost']}", "0", "-"),
+        ("share of a core", f"{logger['cpu_fraction']:.3f}", "0.25", "-"),
+        ("flood without a loss, messages a second", f"{logger['flood_rate']:.0f}", "-", bare),
+    )
+    print(Table("The logger's endurance", ("claim", "reached", "asked", "peer"), rows).text())
+    return 1 if logger["lost"] or logger["cpu_fraction"] >= 0.25 else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
