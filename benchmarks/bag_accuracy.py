@@ -16,6 +16,8 @@ from claims import Claim
 from isolation import isolated
 from logger_endurance import NUMBERED, RATE, kills, logger_command, publishers, running, stop
 
+from abrace_core.progress import Progress
+
 KILLS = 50
 DAMAGED_BAG = 4.0
 """Seconds that the bag lasts which is cut off and damaged."""
@@ -23,9 +25,12 @@ DAMAGED_BAG = 4.0
 
 def verify_bags() -> tuple[dict[str, Any], list[Claim]]:
     """Values for verify.json, and claims."""
+    progress = Progress(2)
     with isolated():
-        values = kills(KILLS)
-        values |= damage(recorded_bag(Path("bag")))
+        with progress.step("loggers killed") as shown:
+            values = kills(KILLS, shown=shown)
+        with progress.step("damaged files read") as shown:
+            values |= damage(recorded_bag(Path("bag")), shown=shown)
     claims = [
         Claim("bags: killed loggers whose bag opens", values["opened"], KILLS, f"{KILLS} killed", least=True),
         Claim("bags: messages missing before a bag's end", values["missing"], 0, "-"),

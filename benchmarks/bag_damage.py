@@ -33,11 +33,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_core.bag import TopicArrays
+    from abrace_core.progress import Step
 
 SEED = 6
 
 
-def damage(bag: Path, cuts: int = 1000, flips: int = 1000) -> dict[str, Any]:
+def damage(bag: Path, cuts: int = 1000, flips: int = 1000, shown: Step | None = None) -> dict[str, Any]:
     """Read `bag`, of a single file, cut off `cuts` times and with a flipped bit `flips` times."""
     (path,) = bag.glob("*.mcap")
     content = path.read_bytes()
@@ -56,6 +57,8 @@ def damage(bag: Path, cuts: int = 1000, flips: int = 1000) -> dict[str, Any]:
             nonlocal read_messages, whole_messages
             outcome, count = read_damaged(damaged, whole)
             found["damaged_files"] += 1
+            if shown is not None:
+                shown.update(found["damaged_files"] / (cuts + flips))
             for name, number in outcome.items():
                 found[name] += number
             read_messages += min(count, expected)

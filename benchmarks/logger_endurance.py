@@ -36,6 +36,8 @@ from abrace_interfaces.msg import BraceCommand, Response
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from abrace_core.progress import Step
+
 RATE = 500.0
 PATIENCE = 30.0
 NUMBERED = {"response": "sequence", "brace_command": "sequence", "ground_motion": "accel.linear.x"}
@@ -171,7 +173,7 @@ def recorded(bag: Path, namespace: str) -> dict[str, tuple[np.ndarray, np.ndarra
     }
 
 
-def kills(count: int = 50, seed: int = 1) -> dict[str, Any]:
+def kills(count: int, seed: int = 1, shown: Step | None = None) -> dict[str, Any]:
     """Kill so many loggers, each at a random moment of its first two seconds of messages.
 
     `missing`: messages that a bag lacks before its end. `worst_gap_seconds`: from a bag's last message to the kill.
@@ -180,6 +182,8 @@ def kills(count: int = 50, seed: int = 1) -> dict[str, Any]:
     opened = missing = 0
     worst = 0.0
     for k in range(count):
+        if shown is not None:
+            shown.update(k / count)
         with publishers() as (rig, folder):
             bag = folder / "bag"
             with running(logger_command(rig.namespace, bag, list(NUMBERED)), folder / "log") as process:
