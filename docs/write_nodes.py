@@ -30,7 +30,7 @@ NODES = {
         "`~/snapshot` (all std_srvs/Trigger): bags.md.",
         "replay": "Publishes the topics of a bag. Services `~/pause` (std_srvs/SetBool), `~/step` (std_srvs/Trigger): "
         "replay.md.",
-        "recover": "Offline: a whole bag out of one that was cut off or damaged.",
+        "recover": "Offline: says what is missing, topic by topic: bags.md.",
         "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",
         "characterize": "Offline: a rig measured as the paper measured its building, in numbers and drawn.",
     },
