@@ -37,7 +37,7 @@ lint: setup  ## ruff and mypy
 	@$(ENVIRONMENT)
 	ruff check .
 	ruff format --check .
-	mypy $(foreach package,$(PACKAGES),src/$(package)/$(package))
+	mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) benchmarks
 
 test: lint  ## lint and all tests
 	@$(ENVIRONMENT)

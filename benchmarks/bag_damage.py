@@ -92,8 +92,8 @@ def read_damaged(path: Path, whole: dict[str, NDArray[np.uint64]]) -> tuple[dict
         good = np.isin(np.unique(read), whole.get(topic, np.empty(0, np.uint64)))
         right += int(good.sum())
         wrong += read.size - int(good.sum())
-    for topic, messages in whole.items():
-        missing = messages.size - (contents[topic].log_time.size if topic in contents else 0)
+    for topic, expected in whole.items():
+        missing = expected.size - (contents[topic].log_time.size if topic in contents else 0)
         unsaid += bool(missing and topic in contents and not any(topic in warning for warning in contents.warnings))
         unsaid += bool(missing and not contents.warnings)
     return {"wrong_values": wrong, "unsaid": unsaid}, right
@@ -141,4 +141,4 @@ def damage_claims(found: dict[str, Any]) -> list[Claim]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(damage(Path(sys.argv[1]), *map(int, sys.argv[2:])), indent=1))
+    print(json.dumps(damage(Path(sys.argv[1])), indent=1))

@@ -3,7 +3,7 @@
 read_1e6_seconds            `read_topics`, all fields of all messages
 time_range_seconds          `read_topics` of one hundredth of the bag, in its middle
 rosbags_seconds             `rosbags`, each message deserialised
-mcap_ros2_support_seconds   `mcap-ros2-support`, each message deserialised; None where it is not installed
+mcap_ros2_support_seconds   `mcap-ros2-support`, each message deserialised
 
 Each is the best of a few runs; peers run once over as many of the first messages as `peer_messages` says, and their
 times are scaled to all.
@@ -13,12 +13,12 @@ python benchmarks/bag_reading.py
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import subprocess
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -54,12 +54,11 @@ def measure(messages: int = MESSAGES, peer_messages: int = PEER_MESSAGES) -> dic
         begin, end = (int(read[read.size * (RANGE + side) // (2 * RANGE)]) for side in (-1, 1))
         seconds = best_of(REPEATS, lambda: read_topics(bag))
         range_seconds = best_of(REPEATS, lambda: read_topics(bag, begin=begin, end=end))
-        peers: dict[str, float | None] = {"rosbags": None, "mcap_ros2_support": None}
-        installed = importlib.util.find_spec("mcap_ros2") is not None
-        for name, peer in (("rosbags", read_with_rosbags), ("mcap_ros2_support", read_with_mcap_ros2)):
-            if name == "rosbags" or installed:
-                spent = best_of(1, lambda peer=peer: peer(peer_bag), warm=False)
-                peers[name] = spent * messages / peer_messages
+        readers = {"rosbags": read_with_rosbags, "mcap_ros2_support": read_with_mcap_ros2}
+        peers = {
+            name: best_of(1, partial(read, peer_bag), warm=False) * messages / peer_messages
+            for name, read in readers.items()
+        }
     found: dict[str, Any] = {
         "messages": messages,
         "peer_messages": peer_messages,
@@ -68,7 +67,7 @@ def measure(messages: int = MESSAGES, peer_messages: int = PEER_MESSAGES) -> dic
     }
     for name, spent in peers.items():
         found[f"{name}_seconds"] = spent
-        found[f"ratio_to_{name}"] = None if spent is None else spent / seconds
+        found[f"ratio_to_{name}"] = spent / seconds
     return found
 
 

@@ -106,7 +106,7 @@ def reading(bag: Path) -> dict[str, Any]:
 
 def simulation_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     """Rows of the table: both cases against each peer."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for case, asked in (("linear", "60"), ("saturated", "30")):
         values = found[case]
         title = f"50 000 closed-loop steps, {case}, ms"
@@ -124,7 +124,7 @@ def simulation_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
 def identification_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     """Rows of the table: reading, the whole fit, and the vector fits' times and errors."""
     read, peer = found["read_seconds"], found["scikit_rf"]
-    rows = []
+    rows: list[tuple[str, ...]] = []
     title = "reading a bag of 600 s, s"
     for name, key in (("rosbags", "rosbags_seconds"), ("mcap-ros2-support", "mcap_ros2_support_seconds")):
         seconds = found[key]
@@ -145,11 +145,10 @@ def identification_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
 
 def bag_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     """Rows of the table: a large bag, beside each peer."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     title = "reading 1 000 000 responses, s"
     for name, key in (("rosbags", "rosbags"), ("mcap-ros2-support", "mcap_ros2_support")):
-        seconds, ratio = found[f"{key}_seconds"], found[f"ratio_to_{key}"]
-        beside = (f"{name} {seconds:.1f}", f"{ratio:.1f}") if seconds else (f"{name} not installed", "-")
+        beside = f"{name} {found[f'{key}_seconds']:.1f}", f"{found[f'ratio_to_{key}']:.1f}"
         rows.append((title, f"{found['read_1e6_seconds']:.2f}", "2, 10 x", *beside))
         title = ""
     rows.append(("of it, a hundredth of the time, s", f"{found['time_range_seconds']:.3f}", "-", "-", "-"))

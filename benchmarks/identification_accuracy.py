@@ -10,7 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -222,7 +222,8 @@ def measure() -> tuple[list[Trial], dict[str, Any]]:
     ):
         prediction = pool.submit(measure_prediction)
         trials = [pool.submit(measure_trial, *one) for one in wanted]
-        for done, _ in enumerate(as_completed([prediction, *trials]), 1):
+        futures: list[Future[Any]] = [prediction, *trials]
+        for done, _ in enumerate(as_completed(futures), 1):
             shown.update(done / (len(trials) + 1), f"{done} of {len(trials) + 1} pairs of tests")
         return [trial.result() for trial in trials], prediction.result()
 

@@ -31,6 +31,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -196,7 +197,7 @@ def vector_fits(identified: Identification, rig: Rig) -> dict[str, Any]:
         fits = [fit_with_scikit_rf(plain, order) for _ in range(PEER_REPEATS)]
         seconds["scikit_rf"] += min(spent for _, spent in fits)
         errors["scikit_rf"].append(pole_errors(fits[0][0], rig, modes))
-        seconds["ours"] += best_of(REPEATS, lambda measured=measured, order=order: vector_fitting(measured, order))
+        seconds["ours"] += best_of(REPEATS, partial(vector_fitting, measured, order))
         errors["ours"].append(pole_errors(vector_fitting(measured, order).poles, rig, modes))
     for poles, (*_, modes) in zip((identified.poles.table, identified.poles.command), cases, strict=True):
         errors["maximum_likelihood"].append(pole_errors(poles, rig, modes))

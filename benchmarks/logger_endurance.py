@@ -146,7 +146,7 @@ def stop(process: subprocess.Popen[bytes], log: Path) -> str:
     code = process.wait(PATIENCE)
     said = log.read_text(errors="replace")
     if code:
-        raise AbraceError(f"{process.args} ended with {code}: {said}")
+        raise AbraceError(f"{process.args!r} ended with {code}: {said}")
     return said
 
 
