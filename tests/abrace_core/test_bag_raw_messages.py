@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -94,6 +96,27 @@ def test_every_bag_gives_every_message_as_it_was_in_time_order(tmp_path: Path, k
     assert topic.qos == RecordedQos(reliable=True, latched=True, depth=3, deadline=5)
 
 
+def test_messages_of_one_time_come_in_the_order_in_which_they_were_written(tmp_path: Path) -> None:
+    content = [(topic, bytes([k]) * (1 + k % 3), 1000 + k // 50) for k, (topic, _, _) in enumerate(messages(200))]
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        numbers = {topic: bag.add_topic(topic, STRING, "string data\n", HASH) for topic in ("/b/said", "/a/said")}
+        for k, (topic, payload, time) in enumerate(content):
+            bag.write(numbers[topic], payload, time, time)
+            if k in (70, 120):
+                bag.split()
+    assert [tuple(message) for message in read_raw(tmp_path / "bag").messages] == content
+
+
+def test_a_clock_that_was_set_back_while_recording_is_said(tmp_path: Path) -> None:
+    second = 10**9
+    content = [("/a/said" if k % 2 else "/b/said", b"%d" % k, (k + 100) * second) for k in range(10)]
+    content[7] = ("/a/said", b"7", 104 * second + 5)
+    bag = read_raw(write_ours(tmp_path / "bag", content))
+    assert [message.payload for message in bag.messages] == [b"%d" % k for k in (0, 1, 2, 3, 4, 7, 5, 6, 8, 9)]
+    (warning,) = bag.warnings
+    assert "the times of /a/said step back, its messages come in the order of their times" in warning
+
+
 def test_a_sqlite3_file_alone_is_a_bag(tmp_path: Path) -> None:
     content = messages(20)
     (path,) = write_theirs(tmp_path / "bag", content, StoragePlugin.SQLITE3).glob("*.db3")
@@ -143,15 +166,71 @@ def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
         read_raw(tmp_path)
 
 
+def two_files(folder: Path, *topics: tuple[str, str, dict[str, Any]]) -> Path:
+    """A bag in files of which each has the topic /said: its type, hash and QoS."""
+    path = folder / "bag"
+    path.mkdir()
+    for k, (type_name, type_hash, qos) in enumerate(topics):
+        with BagWriter(folder / f"{k}", {}) as bag:
+            bag.write(bag.add_topic("/said", type_name, "string data\n", type_hash, qos), b"\0\1\0\0", k, k)
+        (folder / f"{k}" / f"{k}_0.mcap").rename(path / f"{k}.mcap")
+    return path
+
+
 def test_a_topic_with_two_types_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "bag"
-    for name, type_name in (("one", STRING), ("two", "std_msgs/msg/Header")):
-        with BagWriter(tmp_path / name, {}) as bag:
-            bag.write(bag.add_topic("/said", type_name, "string data\n", ""), b"\0\1\0\0", 1, 1)
-        path.mkdir(exist_ok=True)
-        (tmp_path / name / f"{name}_0.mcap").rename(path / f"{name}.mcap")
+    path = two_files(tmp_path, (STRING, HASH, {}), ("std_msgs/msg/Header", "", {}))
     with pytest.raises(AbraceError, match=f"topic /said has the types {STRING} and std_msgs/msg/Header"):
         read_raw(path)
+
+
+def test_a_type_that_changed_between_two_files_is_refused(tmp_path: Path) -> None:
+    path = two_files(tmp_path, (STRING, "", {}), (STRING, HASH, {}), (STRING, "RIHS01_0", {}))
+    with pytest.raises(AbraceError, match=f"/said: {STRING} was recorded as {HASH} and as RIHS01_0"):
+        read_raw(path)
+
+
+def test_the_offers_of_all_files_are_one(tmp_path: Path) -> None:
+    offers = {"reliability": "best_effort", "depth": 3}, {"durability": "transient_local", "depth": 7}
+    topic = read_raw(two_files(tmp_path, (STRING, "", offers[0]), (STRING, HASH, offers[1]))).topics["/said"]
+    assert topic.qos == RecordedQos(reliable=True, latched=True, depth=7)
+    assert topic.type_hash == HASH
+
+
+def test_qos_that_makes_no_sense_is_refused_with_its_topic(tmp_path: Path) -> None:
+    path = two_files(tmp_path, (STRING, HASH, {"depth": -4}))
+    with pytest.raises(AbraceError, match=r"bag: topic /said: QoS: -4 is less than 0, expected"):
+        read_raw(path)
+
+
+@pytest.mark.parametrize("mode", [None, CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_a_damaged_sqlite3_bag_is_refused_or_says_what_is_missing(tmp_path: Path, mode: CompressionMode | None) -> None:
+    content = messages(300)
+    path = write_theirs(tmp_path / "bag", content, StoragePlugin.SQLITE3, mode)
+    (file,) = path.glob("*.db3*")
+    whole = file.read_bytes()
+    random = np.random.default_rng(5)
+    refusals = []
+    for trial in range(40):
+        place = int(random.integers(len(whole)))
+        file.write_bytes(whole[:place] if trial % 2 else whole[:place] + random.bytes(64) + whole[place + 64 :])
+        try:
+            bag = read_raw(path)
+        except AbraceError as error:
+            refusals.append(str(error))
+        else:
+            assert len(bag.messages) == len(content) or "are missing" in " ".join(bag.warnings)
+    assert refusals
+    assert all(text.startswith(f"{path}: ") and "\n" not in text for text in refusals)
+
+
+def test_messages_that_a_database_has_no_more_are_said(tmp_path: Path) -> None:
+    path = write_theirs(tmp_path / "bag", messages(30), StoragePlugin.SQLITE3)
+    (file,) = path.glob("*.db3")
+    with contextlib.closing(sqlite3.connect(file)) as database, database:
+        database.execute("DELETE FROM messages WHERE id IN (2, 5, 6)")
+    bag = read_raw(path)
+    assert len(bag.messages) == 27
+    assert bag.warnings == (f"{path}: 3 of 20 messages of /a/said are missing",)
 
 
 PROFILE = {"history": "keep_last", "depth": 10, "reliability": "reliable", "durability": "volatile"}
@@ -188,7 +267,19 @@ def test_one_offer_that_suits_who_took_any_of_the_recorded_ones(
 
 
 @pytest.mark.parametrize(
-    "text", ["a: 1", "- 3", "[", "- {reliability: 17}", "- {deadline: {sec: 1}}", "- {depth: many}", "- {deadline: 3}"]
+    "text",
+    [
+        "a: 1",
+        "- 3",
+        "[",
+        "- {reliability: 17}",
+        "- {deadline: {sec: 1}}",
+        "- {depth: many}",
+        "- {deadline: 3}",
+        "- {depth: -1}",
+        "- {reliability: -1}",
+        "- {lifespan: {sec: -1, nsec: 0}}",
+    ],
 )
 def test_qos_that_makes_no_sense_is_refused(text: str) -> None:
     with pytest.raises(AbraceError, match="QoS: "):

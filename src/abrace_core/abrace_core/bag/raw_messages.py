@@ -7,16 +7,17 @@ files, compressed messages) is read by `rosbags`.
 from __future__ import annotations
 
 import operator
-import sqlite3
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 import yaml
 
 from abrace_core.bag.mcap_file import McapFile
 from abrace_core.bag.reader import bag_files, missing_files
-from abrace_core.bag.recorded_qos import RecordedQos, combined_qos, recorded_qos
+from abrace_core.bag.recorded_qos import RecordedQos, combined_qos, offer, recorded_qos
 from abrace_core.bag.selection import Wanted
 from abrace_core.errors import AbraceError
 
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection, Qos
 
     from abrace_core.bag.stream import Channel
+
+
+OUT_OF_TURN = 100_000_000
+"""By how much the times of several publishers' messages may step back [ns]; more is a clock that was set back."""
 
 
 class RawMessage(NamedTuple):
@@ -67,7 +72,7 @@ class RawBag:
     topics
         By name.
     messages
-        Of these topics, in the order of their log times.
+        Of these topics, in the order of their log times, those of one time in the order in which they were written.
     warnings
         What is missing or can't be trusted, one sentence each.
     """
@@ -156,6 +161,7 @@ def _from_mcap(bag: Path, asked: Collection[str]) -> RawBag:
     topics: dict[str, RecordedTopic] = {}
     messages: list[RawMessage] = []
     for file in files:
+        written: list[tuple[int, RawMessage]] = []
         for number, channel in file.channels.items():
             if channel.topic not in chosen:
                 continue
@@ -163,25 +169,31 @@ def _from_mcap(bag: Path, asked: Collection[str]) -> RawBag:
                 raise AbraceError(
                     f"{bag}: topic {channel.topic} is written as {channel.message_encoding!r}, expected 'cdr'"
                 )
-            _add(
-                bag,
-                topics,
-                RecordedTopic(
-                    channel.topic,
-                    channel.type_name,
-                    channel.details.get("topic_type_hash", ""),
-                    recorded_qos(channel.details.get("offered_qos_profiles", "")),
-                ),
-            )
+            _add(bag, topics, _topic_of(bag, channel))
             if number in file.streams:
-                stream = file.streams[number].messages()
-                messages += [RawMessage(channel.topic, payload, log_time) for log_time, _, payload in stream]
+                stream = file.streams[number]
+                if (np.diff(stream.log_time) < -OUT_OF_TURN).any():
+                    warnings.append(
+                        f"{bag}: the times of {channel.topic} step back, its messages come in the order of their times"
+                    )
+                found = (RawMessage(channel.topic, payload, log_time) for log_time, _, payload in stream.messages())
+                written += zip(stream.place.tolist(), found, strict=True)
+        written.sort(key=operator.itemgetter(0))
+        messages += [message for _, message in written]
     return RawBag(topics, messages, tuple(warnings))
+
+
+def _topic_of(bag: Path, channel: Channel) -> RecordedTopic:
+    try:
+        qos = recorded_qos(channel.details.get("offered_qos_profiles", ""))
+    except AbraceError as error:
+        raise AbraceError(f"{bag}: topic {channel.topic}: {error}") from error
+    return RecordedTopic(channel.topic, channel.type_name, channel.details.get("topic_type_hash", ""), qos)
 
 
 def _by_rosbags(bag: Path, asked: Collection[str]) -> RawBag:
     try:
-        from rosbags.rosbag2 import Reader, ReaderError
+        from rosbags.rosbag2 import Reader
     except ImportError as error:
         raise AbraceError(
             f"{bag}: neither MCAP nor without compression, which takes the Python package rosbags, "
@@ -198,14 +210,26 @@ def _by_rosbags(bag: Path, asked: Collection[str]) -> RawBag:
                 RawMessage(connection.topic, bytes(payload), time)
                 for connection, time, payload in reader.messages(connections)
             ]
-    except (ReaderError, OSError, sqlite3.Error) as error:
-        raise AbraceError(f"{bag}: {' '.join(str(error).split())}") from error
-    return RawBag(topics, messages, ())
+            expected: Counter[str] = Counter()
+            for connection in connections:
+                expected[connection.topic] += connection.msgcount
+    except AbraceError:
+        raise
+    except Exception as error:
+        # of a damaged file rosbags raises what its database, its decompression or its own code happen to raise
+        raise AbraceError(f"{bag}: {' '.join(str(error).split()) or type(error).__name__}") from error
+    found = Counter(message.topic for message in messages)
+    warnings = [
+        f"{bag}: {count - found[topic]} of {count} messages of {topic} are missing"
+        for topic, count in expected.items()
+        if found[topic] < count
+    ]
+    return RawBag(topics, messages, tuple(warnings))
 
 
 def _recorded_topic(connection: Connection) -> RecordedTopic:
-    profiles = [_in_words(profile) for profile in connection.ext.offered_qos_profiles]
-    return RecordedTopic(connection.topic, connection.msgtype, connection.digest, combined_qos(profiles))
+    offers = [offer(_in_words(profile)) for profile in connection.ext.offered_qos_profiles]
+    return RecordedTopic(connection.topic, connection.msgtype, connection.digest, combined_qos(offers))
 
 
 def _in_words(profile: Qos) -> dict[str, object]:
@@ -217,7 +241,12 @@ def _in_words(profile: Qos) -> dict[str, object]:
 
 
 def _add(bag: Path, topics: dict[str, RecordedTopic], found: RecordedTopic) -> None:
-    """Put a topic among those that were found; several files or channels may have it."""
-    known = topics.setdefault(found.name, found)
+    """Put a topic among those that were found; several files or channels may have it, of one type."""
+    known = topics.get(found.name, found)
     if known.type_name != found.type_name:
         raise AbraceError(f"{bag}: topic {found.name} has the types {known.type_name} and {found.type_name}")
+    if known.type_hash and found.type_hash not in ("", known.type_hash):
+        hashes = f"{known.type_hash} and as {found.type_hash}"
+        raise AbraceError(f"{bag}: topic {found.name}: {found.type_name} was recorded as {hashes}")
+    qos = combined_qos([known.qos, found.qos])
+    topics[found.name] = replace(known, type_hash=known.type_hash or found.type_hash, qos=qos)

@@ -20,6 +20,8 @@ _WORDS = {
     "liveliness": ("system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown", "best_available"),
 }
 """By number: up to ROS 2 Iron bags have numbers, then words."""
+DEEPEST = 2**31 - 1
+"""Messages that a publisher can keep."""
 _FOREVER = 2**63 - 1
 
 
@@ -70,47 +72,72 @@ def recorded_qos(text: str) -> RecordedQos:
         profiles = yaml.safe_load(text) or []
         if not isinstance(profiles, list) or not all(isinstance(profile, Mapping) for profile in profiles):
             raise AbraceError(f"QoS: {text!r}, expected a list of profiles")
-        return combined_qos(profiles)
+        return combined_qos([offer(profile) for profile in profiles])
     except (yaml.YAMLError, KeyError, TypeError, ValueError, IndexError) as error:
         raise AbraceError(f"QoS: {' '.join(str(error).split())}, expected rosbag2's names and values") from error
 
 
-def combined_qos(profiles: Sequence[Mapping[str, Any]]) -> RecordedQos:
-    """One offer that every subscriber to any of the offers can take.
+def offer(profile: Mapping[str, Any]) -> RecordedQos:
+    """What one publisher offered.
 
     Parameters
     ----------
-    profiles
-        The publishers' profiles in rosbag2's words or numbers; without any, a reliable publisher's.
+    profile
+        In rosbag2's words or numbers.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError, IndexError
+        If they are none.
     """
-    if not profiles:
-        return RecordedQos()
-    leases = [_nanoseconds(profile.get("liveliness_lease_duration")) for profile in profiles]
     return RecordedQos(
-        reliable=any(_word(profile, "reliability") != "best_effort" for profile in profiles),
-        latched=any(_word(profile, "durability") == "transient_local" for profile in profiles),
-        keep_all=any(_word(profile, "history") == "keep_all" for profile in profiles),
-        depth=max(int(profile.get("depth", 0)) for profile in profiles),
-        manual_liveliness=any(_word(profile, "liveliness") == "manual_by_topic" for profile in profiles),
-        deadline=_shortest([_nanoseconds(profile.get("deadline")) for profile in profiles]),
-        lifespan=max((_nanoseconds(profile.get("lifespan")) for profile in profiles), key=lambda ns: ns or _FOREVER),
-        lease=_shortest(leases),
+        reliable=_word(profile, "reliability") != "best_effort",
+        latched=_word(profile, "durability") == "transient_local",
+        keep_all=_word(profile, "history") == "keep_all",
+        depth=min(_not_negative(profile.get("depth", 0)), DEEPEST),
+        manual_liveliness=_word(profile, "liveliness") == "manual_by_topic",
+        deadline=_nanoseconds(profile.get("deadline")),
+        lifespan=_nanoseconds(profile.get("lifespan")),
+        lease=_nanoseconds(profile.get("liveliness_lease_duration")),
+    )
+
+
+def combined_qos(offers: Sequence[RecordedQos]) -> RecordedQos:
+    """One offer that every subscriber to any of the `offers` can take; without any, a reliable publisher's."""
+    if not offers:
+        return RecordedQos()
+    return RecordedQos(
+        reliable=any(one.reliable for one in offers),
+        latched=any(one.latched for one in offers),
+        keep_all=any(one.keep_all for one in offers),
+        depth=max(one.depth for one in offers),
+        manual_liveliness=any(one.manual_liveliness for one in offers),
+        deadline=min((one.deadline for one in offers), key=_length),
+        lifespan=max((one.lifespan for one in offers), key=_length),
+        lease=min((one.lease for one in offers), key=_length),
     )
 
 
 def _word(profile: Mapping[str, Any], name: str) -> str:
     value = profile.get(name, "unknown")
-    return _WORDS[name][value] if isinstance(value, int) else str(value)
+    return _WORDS[name][_not_negative(value)] if isinstance(value, int) else str(value)
+
+
+def _not_negative(value: Any) -> int:
+    number = int(value)
+    if number < 0:
+        raise ValueError(f"{number} is less than 0")
+    return number
 
 
 def _nanoseconds(duration: Mapping[str, int] | None) -> int:
     """0 for what has no end, which is 0, or the latest time of 63 bits or of 32."""
     if duration is None:
         return 0
-    seconds, nanoseconds = int(duration["sec"]), int(duration["nsec"])
+    seconds, nanoseconds = _not_negative(duration["sec"]), _not_negative(duration["nsec"])
     total = seconds * 10**9 + nanoseconds
     return 0 if seconds >= 2**31 - 1 or total >= _FOREVER else total
 
 
-def _shortest(durations: Sequence[int]) -> int:
-    return min(durations, key=lambda ns: ns or _FOREVER)
+def _length(nanoseconds: int) -> int:
+    return nanoseconds or _FOREVER

@@ -104,13 +104,16 @@ class Selection:
         channel = np.ndarray((len(data) - 1,), "<u2", data, strides=(1,))[start + RECORD_HEAD.size]
         inside = self._inside(data, start)
         counts = np.bincount(channel)
+        met = sum(self.counts.values())
         for number in np.flatnonzero(counts).tolist():
             self.counts[number] = self.counts.get(number, 0) + int(counts[number])
             described = self.descriptions.channels.get(number)
             if described is not None and not self.wanted.channel(described):
                 continue
             chosen = channel == number if inside is None else (channel == number) & inside
-            self.streams.setdefault(number, Stream()).append(data, start[chosen], size[chosen])
+            self.streams.setdefault(number, Stream()).append(
+                data, start[chosen], size[chosen], met + np.flatnonzero(chosen)
+            )
         return int(start.size)
 
     def _inside(self, data: bytes, start: NDArray[np.int64]) -> NDArray[np.bool_] | None:

@@ -33,10 +33,17 @@ class Stream:
     """Messages of one channel so far: for each length that occurred, their numbers and their records."""
 
     count: int = 0
+    places: list[NDArray[np.int64]] = field(default_factory=list)
     blocks: dict[int, list[tuple[NDArray[np.int64], NDArray[np.void]]]] = field(default_factory=dict)
 
-    def append(self, data: bytes, starts: NDArray[np.int64], sizes: NDArray[np.int64]) -> None:
-        """Take the message records that start at `starts` in `data` and are `sizes` long."""
+    def append(
+        self, data: bytes, starts: NDArray[np.int64], sizes: NDArray[np.int64], places: NDArray[np.int64]
+    ) -> None:
+        """Take the message records that start at `starts` in `data` and are `sizes` long.
+
+        `places` are their numbers among the messages of all channels.
+        """
+        self.places.append(places)
         numbers = np.arange(self.count, self.count + starts.size)
         self.count += starts.size
         for size in np.unique(sizes).tolist():
@@ -56,6 +63,11 @@ class Stream:
             for numbers, records in blocks:
                 column[numbers] = records.view(row)[name]
         return column
+
+    @property
+    def place(self) -> NDArray[np.int64]:
+        """(messages,) numbers among the messages of all channels: the order in which they were written."""
+        return np.concatenate(self.places)
 
     @property
     def log_time(self) -> NDArray[np.int64]:
