@@ -7,11 +7,19 @@ from typing import TYPE_CHECKING
 import pytest
 
 from abrace_core.bag import message_definition
-from abrace_core.bag.raw_messages import RawMessage, RecordedTopic
+from abrace_core.bag.raw_messages import RawBag, RawMessage, RecordedTopic
 from abrace_core.bag.recorded_qos import RecordedQos
 from abrace_core.errors import AbraceError
 from abrace_core.wire import BraceCommands, Responses
-from abrace_plant.bag_playback import Answers, BagPlayback, beside, check_type, excerpt, response_topic
+from abrace_plant.bag_playback import (
+    Answers,
+    BagPlayback,
+    beside,
+    check_type,
+    excerpt,
+    response_topic,
+    without_commands,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -118,6 +126,24 @@ def test_a_loop_of_one_instant_is_refused() -> None:
         BagPlayback(messages(5, 5), 1.0, loop=True)
 
 
+def test_bag_time_does_not_go_back_for_a_message_that_was_overdue() -> None:
+    playback = BagPlayback(messages(0, 100, 200), 1.0, loop=False)
+    playback.start_clock(10.0)
+    playback.stop_clock(10.15)
+    for expected in (150, 150, 200):
+        playback.take_early()
+        assert playback.bag_time(99.0) == BEGIN + expected * 1_000_000
+
+
+def test_bag_time_begins_anew_with_each_round_of_messages_taken_early() -> None:
+    playback = BagPlayback(messages(0, 100, 200), 1.0, loop=True)
+    found = []
+    for _ in range(6):
+        playback.take_early()
+        found.append((playback.bag_time(99.0) - BEGIN) // 1_000_000)
+    assert found == [0, 100, 0, 0, 100, 0], "with the last message the next round has begun"
+
+
 def test_a_sample_waits_for_the_command_with_its_number() -> None:
     responses, commands = Responses(), BraceCommands()
     answers = Answers("/lab/response")
@@ -134,13 +160,40 @@ def test_a_sample_waits_for_the_command_with_its_number() -> None:
 
 
 def test_the_topic_of_responses_is_found_and_has_to_be_the_only_one() -> None:
-    assert response_topic(topics(response=RESPONSE, said=STRING)) == "/lab/response"
+    sample = [RawMessage("/lab/response", b"", BEGIN)]
+    assert response_topic(topics(response=RESPONSE, said=STRING), sample) == "/lab/response"
     with pytest.raises(AbraceError, match=r"2 topics of .* to replay \(/lab/one, /lab/two\), expected one"):
-        response_topic(topics(two=RESPONSE, one=RESPONSE))
+        response_topic(topics(two=RESPONSE, one=RESPONSE), sample)
     with pytest.raises(AbraceError, match=r"0 topics of .* to replay \(none\), expected one"):
-        response_topic(topics(said=STRING))
+        response_topic(topics(said=STRING), sample)
     with pytest.raises(AbraceError, match="/lab/brace_command answers /lab/response and can't be replayed as well"):
-        response_topic(topics(response=RESPONSE, brace_command=COMMAND))
+        response_topic(topics(response=RESPONSE, brace_command=COMMAND), sample)
+
+
+def test_a_part_without_a_response_has_nothing_to_answer() -> None:
+    with pytest.raises(AbraceError, match="parameter lockstep: no message of /lab/response in the part"):
+        response_topic(topics(response=RESPONSE, said=STRING), [RawMessage("/lab/said", b"", BEGIN)])
+
+
+def test_what_a_rig_obeys_is_left_out_and_said() -> None:
+    there = topics(
+        response=RESPONSE,
+        brace_command=COMMAND,
+        force=COMMAND,
+        ground_motion=STRING,
+        emergency_stop=STRING,
+        said=STRING,
+    )
+    content = [RawMessage(name, b"", BEGIN + k) for k, name in enumerate(there)]
+    bag = without_commands(RawBag(there, content, ("first",)))
+    assert list(bag.topics) == ["/lab/response", "/lab/said"]
+    assert [message.topic for message in bag.messages] == ["/lab/response", "/lab/said"]
+    assert bag.warnings[0] == "first"
+    assert bag.warnings[1].startswith(
+        "/lab/brace_command, /lab/emergency_stop, /lab/force, /lab/ground_motion left out: a rig obeys them"
+    )
+    harmless = RawBag(topics(said=STRING), content[-1:], ())
+    assert without_commands(harmless) == harmless
 
 
 def test_the_answers_are_in_the_namespace_of_the_samples() -> None:

@@ -6,17 +6,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import rclpy
+from ament_index_python.packages import get_package_share_directory
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from abrace_core.bag import BagWriter, message_definition
+from abrace_core.bag import BagWriter, message_definition, read_topics
 from abrace_core.bag.raw_messages import read_raw
 from abrace_core.controller_file import Controller, save_controller
-from abrace_core.linear_model import LinearModel
 from abrace_core.node import LATCHED_QOS
 from abrace_interfaces.msg import BraceCommand, Response
+from abrace_lqg.design import design
+from abrace_lqg.weights import load_weights
+from abrace_plant.nodes.replay import Replay
+from abrace_plant.rig_file import load_rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,6 +30,7 @@ if TYPE_CHECKING:
 
 SAMPLES = 1000
 STEP = 20_000_000
+LIMIT = 4e3
 
 
 def end_of_replay(graph: Any, said: str) -> int:
@@ -44,34 +50,32 @@ def listen_raw(graph: Any, message_type: type, topic: str) -> list[bytes]:
 
 @pytest.fixture(scope="module")
 def controller(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The file of a law with a memory, that takes three accelerations."""
-    law = LinearModel(
-        [[0.9, 0.2], [-0.2, 0.9]], [[0.1, 0.0, 0.3], [0.0, 0.2, 0.1]], [[300.0, -200.0]], [[50.0, 0.0, 0.0]],
-        ("a1", "a2", "a3"), ("U",), 0.002,
-    )  # fmt: skip
-    path = tmp_path_factory.mktemp("controller") / "memory.yaml"
-    limit = np.array([20e3])
-    save_controller(Controller("memory", law, np.zeros((2, 1)), np.zeros((3, 3)), limit, "none", "none", "none"), path)
+    """The file of LQG3, designed for the rig itself; of small force, so that much of what it wants is cut."""
+    rig = load_rig(f"{get_package_share_directory('abrace_plant')}/config/ncree_three_storey.yaml")
+    weights = load_weights(f"{get_package_share_directory('abrace_lqg')}/config/lqg3.yaml")
+    made = design(rig.model, weights, 0.002)
+    path = tmp_path_factory.mktemp("controller") / "lqg3.yaml"
+    limit = np.array([LIMIT])
+    save_controller(
+        Controller("lqg3", made.controller, made.correction, made.prediction, limit, "rig", "lqg3", "none"), path
+    )
     return path
 
 
 @pytest.fixture(scope="module")
 def run(new_graph: Callable, controller: Path) -> tuple[Path, str]:
-    """The bag of a controlled run in lockstep, and its namespace."""
+    """The bag of a controlled run in real time, and its namespace."""
     with new_graph() as graph:
         bag = graph.folder / "bag"
-        graph.start("logger", output=str(bag), topics=["response", "brace_command"])
-        graph.start(
-            "plant", autostart=False, lockstep=True, wait_for=["brace_command", "ground_motion"],
-            duration=SAMPLES * 0.002, seed=3,
-        )  # fmt: skip
+        graph.start("logger", output=str(bag), topics=["response", "brace_command", "ground_motion"])
+        graph.start("plant", autostart=False, duration=SAMPLES * 0.002, seed=3)
         graph.start("ground_motion", record="white_noise", duration=SAMPLES * 0.002, rms=1.0)
         graph.start("controller", "--params-file", controller)
         assert graph.change_state("plant", "configure")
         graph.until_matched("plant", response=3, brace_command=1, ground_motion=1)
         graph.until_matched("controller", response=1, brace_command=2)
         graph.until_matched("ground_motion", response=1)
-        graph.until_matched("logger", response=1, brace_command=1)
+        graph.until_matched("logger", response=1, brace_command=1, ground_motion=1)
         graph.may_end.add("plant")
         assert graph.change_state("plant", "activate")
         assert graph.ended("plant") == 0
@@ -105,15 +109,19 @@ def test_a_controller_answers_the_recorded_responses_with_the_recorded_commands_
     bag, namespace = run
     recorded = [message.payload for message in read_raw(bag, ["brace_command"]).messages]
     assert len(recorded) == SAMPLES
-    assert len({payload[-8:] for payload in recorded}) > SAMPLES // 2, "the commands are none to speak of"
+    force = read_topics(bag)[f"{namespace}/brace_command"].fields["force"][:, 0]
+    assert 50 < np.sum(np.abs(force) == LIMIT) < SAMPLES - 500, "some of the commands are cut, most are not"
     commands = listen_raw(graph, BraceCommand, "brace_command")
     graph.start("controller", "--params-file", controller)
     remap = ["-r", f"{namespace}/response:=response"]
-    graph.start("replay", *remap, bag=str(bag), topics=["response"], lockstep=True, start_paused=True)
+    graph.start("replay", *remap, bag=str(bag), lockstep=True, start_paused=True)
     graph.until_matched("controller", response=1, brace_command=2)
     graph.until_matched("replay", **{f"{namespace}/response": 1, f"{graph.namespace}/brace_command": 1})
+    left_out = f"{namespace}/brace_command, {namespace}/ground_motion left out: a rig obeys them"
+    assert left_out in graph.said("replay")[0]
+    assert graph.node.count_publishers(f"{namespace}/ground_motion") == 0
     for count in (1, 2, 3):
-        assert graph.call(Trigger, "replay/step", Trigger.Request()).success
+        graph.until(lambda: graph.call(Trigger, "replay/step", Trigger.Request()).success, "a step")
         graph.until(lambda count=count: len(commands) >= count, "the answer to a step")
     assert len(commands) == 3
     graph.may_end.add("replay")
@@ -121,6 +129,35 @@ def test_a_controller_answers_the_recorded_responses_with_the_recorded_commands_
     assert end_of_replay(graph, f"done: {SAMPLES} messages") == 0
     graph.until(lambda: len(commands) >= SAMPLES, "all commands")
     assert commands == recorded
+
+
+def test_a_lockstep_replay_begins_when_who_answers_takes_the_samples(
+    graph: Any, run: tuple[Path, str], context: rclpy.Context
+) -> None:
+    bag, namespace = run
+    onlooker = listen_raw(graph, Response, "response")
+    hand = rclpy.create_node("hand", namespace=graph.namespace, context=context)
+    hand.create_publisher(BraceCommand, "brace_command", 10)
+    remap = ("-r", f"{namespace}/response:=response")
+    graph.start("replay", *remap, bag=str(bag), topics=["response"], lockstep=True)
+    graph.until_matched("replay", **{f"{namespace}/response": 1, f"{graph.namespace}/brace_command": 1})
+    for _ in range(2):
+        graph.until_well("replay")
+    assert graph.statuses["replay"].message == "waiting for the controller"
+    assert not onlooker
+    hand.create_subscription(Response, "response", print, 10)
+    graph.until(lambda: onlooker, "the first sample")
+    assert graph.stop("replay") == 0
+    hand.destroy_node()
+
+
+def test_responses_are_not_replayed_beside_a_rig_that_publishes_them(graph: Any, run: tuple[Path, str]) -> None:
+    bag, namespace = run
+    graph.start("replay", "-r", f"{namespace}/response:=response", bag=str(bag), start_paused=True)
+    graph.until_matched("replay", **{f"{namespace}/response": 0})
+    graph.may_end.add("replay")
+    graph.publisher(Response, "response", subscribers=0)
+    assert end_of_replay(graph, f"{graph.namespace}/response is published by {graph.namespace}/test as well") == 1
 
 
 def test_a_response_without_an_answer_ends_a_lockstep_replay(graph: Any, run: tuple[Path, str]) -> None:
@@ -160,6 +197,27 @@ def test_every_message_comes_again_as_it_was_and_the_latched_one_to_who_comes_la
     assert times[-1] <= 10**9 + 9 * STEP
 
 
+def test_the_bag_s_clock_starts_with_the_first_message_that_is_due(
+    domain: int, texts: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = ["replay", "--ros-args", "-p", f"bag:={texts}"]
+    monkeypatch.setattr("sys.argv", arguments)
+    rclpy.init(args=arguments, domain_id=domain)
+    replay = Replay()
+    try:
+        for _ in range(2):
+            assert replay.due is not None
+            assert replay.playback.due is None, "time passes until the first tick, and would be made up for in a burst"
+            replay.tick()
+            assert replay.playback.due is not None
+            replay.on_pause(SetBool.Request(data=True), SetBool.Response())
+            assert replay.due is replay.playback.due is None
+            replay.on_pause(SetBool.Request(data=False), SetBool.Response())
+    finally:
+        replay.destroy_node()
+        rclpy.shutdown()
+
+
 def test_a_loop_goes_on_until_a_signal_ends_it(graph: Any, texts: Path) -> None:
     said = listen_raw(graph, String, "/lab/said")
     graph.start("replay", bag=str(texts), topics=["said"], loop=True, rate=20.0)
@@ -178,6 +236,7 @@ def test_a_loop_goes_on_until_a_signal_ends_it(graph: Any, texts: Path) -> None:
         ({"start_offset": 3.0}, "there is no message from 3 s to the end"),
         ({"lockstep": True}, "0 topics of abrace_interfaces/msg/Response to replay (none), expected one"),
         ({"rate": 0.0}, "parameter rate"),
+        ({"start_offset": 1e300}, "parameter start_offset: 1e+300, expected"),
     ],
 )
 def test_what_cannot_be_replayed_is_refused_in_one_line(
@@ -194,6 +253,39 @@ def test_a_bag_that_is_not_there_is_refused_in_one_line(graph: Any) -> None:
     graph.start("replay", bag="nowhere")
     assert end_of_replay(graph, "nowhere: no such bag") == 2
     assert len(graph.said("replay")) == 1
+
+
+def written(folder: Path, topic: str, type_name: str, payload: bytes, time: int = 1) -> Path:
+    """A bag of one message."""
+    definition = message_definition(type_name)
+    with BagWriter(folder / "odd", {}) as bag:
+        bag.write(bag.add_topic(topic, type_name, definition.text, definition.type_hash), payload, time, time)
+    return folder / "odd"
+
+
+@pytest.mark.parametrize(
+    ("topic", "payload", "time", "code", "complaint"),
+    [
+        ("/odd name", b"\0\1\0\0\1", 1, 2, "topic /odd name: Invalid topic name"),
+        ("/odd", b"\0\1\0\0" + b"\1" * 300, 1, 1, "topic /odd: a message of 304 bytes can't be published"),
+        ("/odd", b"\0\1\0\0\1", 2**62, 2, "parameter clock: /clock can't have the times of"),
+    ],
+)
+def test_what_the_middleware_does_not_take_is_said(
+    graph: Any, tmp_path: Path, topic: str, payload: bytes, time: int, code: int, complaint: str
+) -> None:
+    bag = written(tmp_path, topic, "std_msgs/msg/Bool", payload, time)
+    graph.may_end.add("replay")
+    graph.start("replay", bag=str(bag), clock=True)
+    assert end_of_replay(graph, complaint) == code
+
+
+def test_a_response_that_cannot_be_read_ends_a_lockstep_replay(graph: Any, tmp_path: Path) -> None:
+    graph.may_end.add("replay")
+    graph.start("replay", bag=str(written(tmp_path, "/r", "abrace_interfaces/msg/Response", b"cut")), lockstep=True)
+    graph.publisher(BraceCommand, "/brace_command", subscribers=0)
+    graph.node.create_subscription(Response, "/r", print, 10)
+    assert end_of_replay(graph, "message: expected a stamped message in little-endian CDR") == 1
 
 
 def test_a_type_that_is_not_installed_is_refused_in_one_line(graph: Any, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from bisect import bisect_left
 from typing import TYPE_CHECKING
 
 from abrace_core.bag import message_definition
+from abrace_core.bag.raw_messages import RawBag
 from abrace_core.errors import AbraceError
 from abrace_core.wire import BraceCommands, Responses
 
@@ -19,7 +20,32 @@ if TYPE_CHECKING:
     from abrace_core.bag.raw_messages import RawMessage, RecordedTopic
 
 RESPONSE_TYPE = "abrace_interfaces/msg/Response"
+COMMAND_TYPE = "abrace_interfaces/msg/BraceCommand"
 COMMAND_TOPIC = "brace_command"
+OBEYED = (COMMAND_TOPIC, "ground_motion", "emergency_stop")
+"""Ends of the names of topics that move a rig, or that end its emergency stop."""
+
+
+def without_commands(bag: RawBag) -> RawBag:
+    """A bag without the topics that a rig obeys, and a warning that says so: nobody moves a rig by not naming a topic.
+
+    Parameters
+    ----------
+    bag
+        To be replayed.
+    """
+
+    def obeyed(topic: RecordedTopic) -> bool:
+        return topic.type_name == COMMAND_TYPE or topic.name.rpartition("/")[2] in OBEYED
+
+    left_out = sorted(topic.name for topic in bag.topics.values() if obeyed(topic))
+    if not left_out:
+        return bag
+    return RawBag(
+        {name: topic for name, topic in bag.topics.items() if name not in left_out},
+        [message for message in bag.messages if message.topic not in left_out],
+        (*bag.warnings, f"{', '.join(left_out)} left out: a rig obeys them (parameter topics replays them by name)"),
+    )
 
 
 def excerpt(messages: Sequence[RawMessage], start_offset: float, duration: float) -> Sequence[RawMessage]:
@@ -79,18 +105,21 @@ def check_type(topic: RecordedTopic) -> None:
         )
 
 
-def response_topic(topics: Mapping[str, RecordedTopic]) -> str:
+def response_topic(topics: Mapping[str, RecordedTopic], messages: Sequence[RawMessage]) -> str:
     """The topic whose samples are answered in lockstep.
 
     Parameters
     ----------
     topics
         Those to replay, by name.
+    messages
+        Those to replay.
 
     Raises
     ------
     AbraceError
-        If there is not exactly one of responses, or the answers themselves are among the topics.
+        If there is not exactly one of responses, none of its messages is there, or the answers themselves are among
+        the topics.
     """
     found = [name for name, topic in topics.items() if topic.type_name == RESPONSE_TYPE]
     if len(found) != 1:
@@ -104,6 +133,8 @@ def response_topic(topics: Mapping[str, RecordedTopic]) -> str:
             f"parameter lockstep: {answers} answers {found[0]} and can't be replayed as well, "
             "expected topics without it (parameter topics)"
         )
+    if not any(message.topic == found[0] for message in messages):
+        raise AbraceError(f"parameter lockstep: no message of {found[0]} in the part to replay, expected some")
     return found[0]
 
 
@@ -195,8 +226,8 @@ class BagPlayback:
         return message
 
     def take_early(self) -> RawMessage:
-        """The next message while the clock stands: its time is the bag's time from now on."""
-        self._bag_time = self._messages[self._position].log_time
+        """The next message while the clock stands: the bag's time is its time from now on, if it is not later."""
+        self._bag_time = max(self._bag_time, self._messages[self._position].log_time)
         return self.take()
 
 

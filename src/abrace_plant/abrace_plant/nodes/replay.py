@@ -9,26 +9,39 @@ import time
 from builtin_interfaces.msg import Time
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
 
 from abrace_core.bag.raw_messages import RawMessage, RecordedTopic, read_raw
 from abrace_core.bag.recorded_qos import RecordedQos
 from abrace_core.errors import AbraceError
-from abrace_core.node import KEPT_STREAM_QOS, AbraceNode, Parameter, run
+from abrace_core.node import KEPT_STREAM_QOS, AbraceNode, Parameter, RCLError, rcl_message, run
 from abrace_core.progress import Step
 from abrace_interfaces.msg import BraceCommand
-from abrace_plant.bag_playback import COMMAND_TOPIC, Answers, BagPlayback, beside, check_type, excerpt, response_topic
+from abrace_plant.bag_playback import (
+    COMMAND_TOPIC,
+    RESPONSE_TYPE,
+    Answers,
+    BagPlayback,
+    beside,
+    check_type,
+    excerpt,
+    response_topic,
+    without_commands,
+)
 from abrace_plant.schedule import LOOK_PERIOD
 
 PARAMETERS = [
     Parameter("bag", "", "bag to replay: a directory or a file", required=True),
-    Parameter("topics", [], "topics to replay, whole names or ends of them; empty: all", element=str),
-    Parameter("rate", 1.0, "bag time over time", minimum=0.001),
+    Parameter("topics", [], "topics to replay, whole names or ends of them; empty: all that no rig obeys", element=str),
+    Parameter("rate", 1.0, "bag time over time; not in lockstep", minimum=0.001, maximum=1e6),
     Parameter("loop", False, "begin again at the end"),
-    Parameter("start_offset", 0.0, "s after the first of the messages, where to begin", minimum=0.0),
-    Parameter("duration", 0.0, "s of the bag to replay; 0: to the end", minimum=0.0),
+    Parameter("start_offset", 0.0, "s after the first of the messages, where to begin", minimum=0.0, maximum=1e9),
+    Parameter("duration", 0.0, "s of the bag to replay; 0: to the end", minimum=0.0, maximum=1e9),
     Parameter("clock", False, "publish /clock: the bag's time, 50 times a second"),
     Parameter("start_paused", False, "wait for ~/pause or ~/step"),
     Parameter("lockstep", False, "publish the next response as soon as a brace_command has answered the last"),
@@ -40,6 +53,10 @@ SHOW_PERIOD = 0.1
 BATCH = 50
 """Messages published in a row of those that are due; services are heard after them."""
 CLOCK = "/clock"
+CLOCK_END = 2**31 * 10**9
+"""Its seconds have 31 bits [ns]."""
+UNKNOWN = "_NODE_NAME_UNKNOWN_"
+"""Name of a node of which no more than a topic has been discovered."""
 
 
 class Replay(AbraceNode):
@@ -49,6 +66,7 @@ class Replay(AbraceNode):
         super().__init__("replay", PARAMETERS)
         given = self.parameters
         bag = read_raw(given.bag, given.topics)
+        bag = bag if given.topics else without_commands(bag)
         for warning in bag.warnings:
             self.get_logger().warning(warning)
         try:
@@ -56,12 +74,13 @@ class Replay(AbraceNode):
         except AbraceError as error:
             raise AbraceError(f"bag {given.bag}: {error}") from error
         self.playback = BagPlayback(messages, given.rate, given.loop)
-        answered = response_topic(bag.topics) if given.lockstep else ""
+        answered = response_topic(bag.topics, messages) if given.lockstep else ""
         if given.clock and CLOCK in bag.topics:
             raise AbraceError(f"parameter clock: {CLOCK} of the bag is replayed, expected one of the two")
-        self.outputs = {
-            name: self.publish_on(message_class(topic), name, qos(topic.qos)) for name, topic in bag.topics.items()
-        }
+        if given.clock and not 0 <= messages[0].log_time <= messages[-1].log_time < CLOCK_END:
+            raise AbraceError(f"parameter clock: /clock can't have the times of {given.bag}, expected 1970 to 2038")
+        self.outputs = {name: self.output(topic) for name, topic in bag.topics.items()}
+        self.responses = [self.outputs[name] for name, topic in bag.topics.items() if topic.type_name == RESPONSE_TYPE]
         self.answers: Answers | None = None
         if given.lockstep:
             self.answers = Answers(answered)
@@ -80,18 +99,19 @@ class Replay(AbraceNode):
         self.began: float | None = None
         self.go_on()
 
+    def output(self, topic: RecordedTopic) -> Publisher:
+        """The publisher of a topic, with the QoS that was offered."""
+        try:
+            return self.publish_on(message_class(topic), topic.name, qos(topic.qos))
+        except (RCLError, NameValidationException) as error:
+            raise AbraceError(f"bag {self.parameters.bag}: topic {topic.name}: {rcl_message(error)}") from error
+
     def go_on(self) -> None:
         """Play from where it stands; while paused, stand."""
         now = time.monotonic()
         if self.paused:
             self.playback.stop_clock(now)
-            self.due = None
-        elif self.answers is None:
-            self.began = self.began or now
-            self.playback.start_clock(now)
-            self.due = self.playback.due
-        else:
-            self.due = now
+        self.due = None if self.paused else now
 
     def tick(self) -> None:
         """Messages are due; in lockstep: the first is, or an answer is overdue."""
@@ -107,14 +127,34 @@ class Replay(AbraceNode):
         elif self.began is None and not self.matched():
             self.due = time.monotonic() + LOOK_PERIOD
         else:
-            self.play_sample()
+            self.look_for_a_rig()
+            if self.exit_code is None:
+                self.play_sample()
 
     def matched(self) -> bool:
-        """Whether someone takes the samples of a lockstep run and someone answers."""
-        return self.samples.get_subscription_count() > 0 and self.commands.get_publisher_count() > 0
+        """Whether a node that publishes commands takes the samples; others may take them, too."""
+        takers = self.get_subscriptions_info_by_topic(self.samples.topic_name)
+        commanders = self.get_publishers_info_by_topic(self.commands.topic_name)
+        return not node_names(takers).isdisjoint(node_names(commanders))
+
+    def look_for_a_rig(self) -> None:
+        """End beside a rig that publishes samples where ours go: who answers would mix them up, and move the rig."""
+        for output in self.responses:
+            if self.exit_code is None and self.count_publishers(output.topic_name) > 1:
+                others = node_names(self.get_publishers_info_by_topic(output.topic_name))
+                others.discard(self.get_fully_qualified_name())
+                self.due = None
+                self.finish(
+                    1,
+                    f"{output.topic_name} is published by {', '.join(sorted(others)) or 'another node'} as well, "
+                    "expected a name (-r) or a ROS_DOMAIN_ID that no rig has",
+                )
 
     def play_due(self) -> None:
-        """Publish what is due by the clock."""
+        """Publish what is due by the clock, which starts here: what a late tick missed would come as a burst."""
+        now = time.monotonic()
+        self.began = self.began or now
+        self.playback.start_clock(now)
         for _ in range(BATCH):
             if self.playback.due is None or self.playback.due > time.monotonic():
                 break
@@ -139,8 +179,14 @@ class Replay(AbraceNode):
             self.end_at_the_last()
 
     def publish(self, message: RawMessage) -> None:
-        """Publish a message as it was recorded."""
-        self.outputs[message.topic].publish(message.payload)
+        """Publish a message as it was recorded; one that the middleware does not take is the end."""
+        if self.exit_code is not None:
+            return
+        try:
+            self.outputs[message.topic].publish(message.payload)
+        except RCLError as error:
+            why = f"a message of {len(message.payload)} bytes can't be published: {rcl_message(error)}"
+            self.finish(1, f"bag {self.parameters.bag}: topic {message.topic}: {why}")
 
     def on_command(self, payload: bytes) -> None:
         """A command answers a sample."""
@@ -159,7 +205,7 @@ class Replay(AbraceNode):
 
     def end_at_the_last(self) -> None:
         """End when everything has been played."""
-        if self.playback.ended and self.began is not None:
+        if self.playback.ended and self.began is not None and self.exit_code is None:
             self.due = None
             seconds = time.monotonic() - self.began
             self.finish(0, f"done: {self.playback.played} messages in {seconds:.2f} s")
@@ -184,7 +230,7 @@ class Replay(AbraceNode):
         elif self.answers is not None and self.answers.missing is not None:
             refusal = f"sample {self.answers.missing} has not been answered"
         elif self.answers is not None and not self.matched():
-            refusal = f"nobody takes {self.samples.topic_name} and publishes {self.commands.topic_name} yet"
+            refusal = f"no node takes {self.samples.topic_name} and publishes {self.commands.topic_name} yet"
         response.success = not refusal
         response.message = refusal
         if refusal:
@@ -204,7 +250,8 @@ class Replay(AbraceNode):
         self.clock_output.publish(ClockMessage(clock=Time(sec=seconds, nanosec=nanoseconds)))
 
     def show(self) -> None:
-        """Show how far it is."""
+        """Show how far it is, and see to it that no rig is near."""
+        self.look_for_a_rig()
         self.progress.update(self.playback.fraction, f"{self.playback.played} messages")
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
@@ -225,6 +272,15 @@ def message_class(topic: RecordedTopic) -> type:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError) as error:
         raise AbraceError(f"topic {topic.name}: {topic.type_name} is not installed for Python ({error})") from error
+
+
+def node_names(endpoints: list[TopicEndpointInfo]) -> set[str]:
+    """Full names of the nodes that are known by theirs."""
+    return {
+        f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
+        for endpoint in endpoints
+        if endpoint.node_name != UNKNOWN
+    }
 
 
 def qos(recorded: RecordedQos) -> QoSProfile:
