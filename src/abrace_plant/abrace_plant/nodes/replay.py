@@ -194,7 +194,7 @@ class Replay(AbraceNode):
         try:
             answered = self.answers.take(payload)
         except AbraceError as error:
-            self.finish(1, str(error))
+            self.finish(1, f"{self.commands.topic_name}: {error}")
             return
         if answered and self.playback.ended:
             self.end_at_the_last()
