@@ -67,12 +67,10 @@ class Replay(AbraceNode):
         given = self.parameters
         bag = read_raw(given.bag, given.topics)
         bag = bag if given.topics else without_commands(bag)
-        for warning in bag.warnings:
-            self.get_logger().warning(warning)
         try:
             messages = excerpt(bag.messages, given.start_offset, given.duration)
         except AbraceError as error:
-            raise AbraceError(f"bag {given.bag}: {error}") from error
+            raise AbraceError("; ".join([f"bag {given.bag}: {error}", *bag.warnings])) from error
         self.playback = BagPlayback(messages, given.rate, given.loop)
         answered = response_topic(bag.topics, messages) if given.lockstep else ""
         if given.clock and CLOCK in bag.topics:
@@ -80,6 +78,8 @@ class Replay(AbraceNode):
         if given.clock and not 0 <= messages[0].log_time <= messages[-1].log_time < CLOCK_END:
             raise AbraceError(f"parameter clock: /clock can't have the times of {given.bag}, expected 1970 to 2038")
         self.outputs = {name: self.output(topic) for name, topic in bag.topics.items()}
+        for warning in bag.warnings:
+            self.get_logger().warning(warning)
         self.responses = [self.outputs[name] for name, topic in bag.topics.items() if topic.type_name == RESPONSE_TYPE]
         self.answers: Answers | None = None
         if given.lockstep:
