@@ -64,7 +64,8 @@ def row(parameter: Parameter) -> str:
     kind = parameter.ros_type.name.lower()
     allowed = ", ".join(f"`{choice}`" for choice in parameter.choices if choice)
     if parameter.minimum is not None:
-        allowed = f"{parameter.minimum:g} or more" if parameter.maximum is None else f"to {parameter.maximum:g}"
+        most = "or more" if parameter.maximum is None else f"to {parameter.maximum:g}"
+        allowed = f"{parameter.minimum:g} {most}"
     description = parameter.description + (" (*live*)" if parameter.live else "")
     return f"| `{parameter.name}` | {kind} | {default} | {allowed} | {description} |"
 
