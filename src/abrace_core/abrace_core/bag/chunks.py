@@ -94,7 +94,7 @@ def unpack(chunk: Chunk) -> bytes:
             data = chunk.packed
         else:
             raise DamagedError(f"does not unpack: compression {chunk.compression!r}, expected zstd, lz4 or none")
-    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
+    except (zstandard.ZstdError, RuntimeError, MemoryError, OverflowError) as error:
         raise DamagedError(f"does not unpack: {error}") from error
     if len(data) != chunk.size or (chunk.checksum and zlib.crc32(data) != chunk.checksum):
         raise DamagedError("does not fit its checksum")

@@ -107,7 +107,9 @@ class McapFile:
         self.warnings.append(f"{self._path}: {text}")
 
     def _read_by_index(self, file: BinaryIO, index: Index) -> bool:
-        """Read the chunks that are needed, if there are others and those are whole."""
+        """Read the chunks that are needed, if there are others, nothing else is in the file, and those are whole."""
+        if not index.complete:
+            return False
         needed = [chunk for chunk in index.chunks if self._wanted.may_be_in(chunk, index.descriptions)]
         if len(needed) == len(index.chunks):
             return False
@@ -206,6 +208,7 @@ class McapFile:
         elif opcode < 0x80:
             raise DamagedError(f"is of an unknown kind ({opcode:#04x})")
         else:
+            self._whole = False
             self._warn(f"the record at byte {offset} is of an unknown kind ({opcode:#04x}) and left out")
 
     def _beside(self, opcode: int, body: bytes) -> None:
@@ -240,10 +243,13 @@ class McapFile:
 
     def _next_place(self, file: BinaryIO, offset: int, index: Index | None) -> int | None:
         """Where reading can go on behind damage at `offset`."""
+        places = [] if index is None else [chunk.offset for chunk in index.chunks]
+        if not places:
+            found = find_chunk(file, offset + 1, self._size)
+            places = [] if found is None else [found]
         if index is not None:
-            places = [chunk.offset for chunk in index.chunks] + [index.begin - _DATA_END_SIZE]
-            return next((place for place in places if place > offset), None)
-        return find_chunk(file, offset + 1, self._size)
+            places.append(index.begin - _DATA_END_SIZE)
+        return next((place for place in places if place > offset), None)
 
     def _cut_chunk(self, file: BinaryIO, offset: int) -> None:
         """Take what is there of the chunk in which the file ends."""
@@ -281,11 +287,12 @@ class McapFile:
         if index is None or index.counts is None:
             self.uncounted = not self._whole
             return
-        found.descriptions.schemas.update(index.descriptions.schemas)
-        found.descriptions.channels.update(index.descriptions.channels)
+        channels = found.descriptions.channels
+        known = index.descriptions.channels if index.complete else channels
+        channels.update({**index.descriptions.channels, **known})
         for number, expected in index.counts.items():
             missing = expected - found.counts.get(number, 0)
-            channel = found.descriptions.channels.get(number)
+            channel = channels.get(number)
             if missing > 0 and channel is not None and self._wanted.channel(channel):
                 self._warn(f"{missing} of {expected} messages of {channel.topic} are missing")
 

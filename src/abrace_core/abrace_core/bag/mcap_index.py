@@ -81,6 +81,8 @@ class Index:
         Offsets of the attachments and the metadata records.
     begin
         Where the index begins.
+    complete
+        Whether it names all that is in the file.
     """
 
     begin: int
@@ -88,6 +90,7 @@ class Index:
     counts: Mapping[int, int] | None = None
     chunks: list[ChunkIndex] = field(default_factory=list)
     beside: list[int] = field(default_factory=list)
+    complete: bool = False
 
 
 def read_index(file: BinaryIO, size: int) -> Index | None:
@@ -116,21 +119,35 @@ def read_index(file: BinaryIO, size: int) -> Index | None:
     if zlib.crc32(file.read(footer - begin + _FOOTER_SIZE - 4)) != checksum:
         raise DamagedError("does not fit its checksum")
     file.seek(begin)
-    index = Index(begin)
+    records = []
     while file.tell() < footer:
-        opcode, body = next_record(file, size)
-        _add(index, opcode, body)
+        records.append(next_record(file, size))
+    index = Index(begin)
+    stated = None
+    for opcode, body in sorted(records, key=lambda record: record[0]):  # the schemas before the channels
+        if opcode == Opcode.STATISTICS:
+            stated, index.counts = _statistics(body)
+        else:
+            _add(index, opcode, body)
     index.chunks.sort(key=lambda chunk: chunk.offset)
+    schemas, channels = index.descriptions.schemas, index.descriptions.channels
+    index.complete = stated == (len(schemas), len(channels), len(index.beside), len(index.chunks))
     return index
+
+
+def _statistics(body: bytes) -> tuple[tuple[int, int, int, int], dict[int, int]]:
+    """How many schemas, channels, attachments and metadata records, and chunks there are; messages by channel."""
+    fields = RecordFields(body)
+    fields.take(8)
+    schemas, channels, attachments, metadata, chunks = (fields.number(size) for size in (2, 4, 4, 4, 4))
+    fields.take(16)
+    return (schemas, channels, attachments + metadata, chunks), fields.numbers(2)
 
 
 def _add(index: Index, opcode: int, body: bytes) -> None:
     fields = RecordFields(body)
     if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
         index.descriptions.add(opcode, body)
-    elif opcode == Opcode.STATISTICS:
-        fields.take(42)
-        index.counts = fields.numbers(2)
     elif opcode == Opcode.CHUNK_INDEX:
         begin, end, offset, size = (fields.number(8) for _ in range(4))
         index.chunks.append(ChunkIndex(begin, end, offset, size, frozenset(fields.numbers(2))))
