@@ -14,6 +14,7 @@ from abrace_core.bag import BagWriter, TopicArrays, read_topics
 from abrace_core.bag.description import describe
 from abrace_core.bag.export import columns, write_csv, write_mat
 from abrace_core.bag.figure import bag_figure
+from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -78,6 +79,15 @@ def test_mat_has_every_value_under_names_that_matlab_takes(bag: Path, tmp_path: 
     assert found["facts"]["rig"] == "ncree, three storeys"
 
 
+def test_sequences_at_both_ends_of_their_range_are_counted(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "ends", {}) as bag:
+        topic = bag.add_topic("/ends", "test_msgs/msg/Ends", "uint64 sequence\n", "")
+        for sequence in (0, 2**64 - 1):
+            bag.write(topic, b"\0\1\0\0" + sequence.to_bytes(8, "little"), 1, 1)
+    (ends,) = describe(tmp_path / "ends").topics
+    assert (ends.gaps, ends.missing) == (1, 2**64 - 2)
+
+
 def arrays(**fields: Any) -> TopicArrays:
     time = np.arange(3)
     return TopicArrays("test_msgs/msg/Odd", {name: np.asarray(value) for name, value in fields.items()}, time, time)
@@ -91,6 +101,22 @@ def test_what_no_table_can_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(AbraceError, match="are both a_b in MATLAB"):
         write_mat(tmp_path / "out.mat", {"/a/b": arrays(x=[1, 2, 3]), "/a_b": arrays(x=[1, 2, 3])}, {})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_texts_of_very_different_lengths_are_written_too(tmp_path: Path) -> None:
+    texts = np.array(["short", "x" * 1000, ""], object)
+    write_csv(tmp_path / "out.csv", arrays(data=texts))
+    with (tmp_path / "out.csv").open(newline="") as file:
+        assert [row[2] for row in csv.reader(file)] == ["data", *texts]
+    write_mat(tmp_path / "out.mat", {"/texts": arrays(data=texts)}, {})
+    assert loadmat(tmp_path / "out.mat", simplify_cells=True)["texts"]["data"][1] == "x" * 1000
+
+
+@pytest.mark.filterwarnings("error")
+def test_numbers_that_overflow_an_axis_are_not_drawn(tmp_path: Path) -> None:
+    figure = bag_figure({"/a": arrays(x=[1.0, 1.7e308, -1.7e308], y=[1.0, np.inf, np.nan], n=[2**64 - 1, 0, 1])})
+    save_figure(figure, tmp_path / "out.png")
+    assert np.isfinite(figure.axes[0].lines[0].get_ydata()).tolist() == [True, False, False]
 
 
 def test_figure_has_a_panel_for_each_quantity_that_changes(bag: Path) -> None:

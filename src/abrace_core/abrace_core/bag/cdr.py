@@ -8,6 +8,7 @@ decoded together; messages of other lengths are walked and decoded in their turn
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from abrace_core.bag.ros2msg import MessageType
 
 _HEADER_SIZE = 4
+_PADDED_SIZE = 1 << 28
+"""Bytes of texts, each as long as the longest, above which they become objects."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ def decode(message_type: MessageType, payloads: Sequence[tuple[NDArray[np.int64]
     -------
     dict
         By field, nested names joined by dots: (messages, ...) arrays of numbers or of str; an array of objects, one a
-        message, where their shapes differ.
+        message, where their shapes differ, and of str where the longest of many is very long.
 
     Raises
     ------
@@ -151,7 +154,10 @@ def _joined(count: int, groups: list[tuple[NDArray[np.int64], NDArray[Any]]]) ->
         return groups[0][1]
     joined: NDArray[Any]
     if len({values.shape[1:] for _, values in groups}) == 1:
-        joined = np.empty((count, *groups[0][1].shape[1:]), np.result_type(*(values for _, values in groups)))
+        shape, dtype = (count, *groups[0][1].shape[1:]), np.result_type(*(values for _, values in groups))
+        if dtype.kind == "U" and math.prod(shape) * dtype.itemsize > _PADDED_SIZE:
+            dtype = np.dtype(object)
+        joined = np.empty(shape, dtype)
         for numbers, values in groups:
             joined[numbers] = values
         return joined

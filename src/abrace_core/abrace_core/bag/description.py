@@ -112,7 +112,8 @@ def _topic(name: str, messages: TopicArrays, lost: int | None) -> TopicDescripti
     sequence = messages.fields.get("sequence")
     gaps = missing = None
     if sequence is not None and sequence.dtype.kind in "iu" and sequence.ndim == 1:
-        skipped = np.diff(np.unique(sequence)).astype(np.int64) - 1
-        gaps, missing = int((skipped > 0).sum()), int(skipped.sum())
+        numbers = np.unique(sequence)
+        gaps = int((np.diff(numbers) != 1).sum())
+        missing = int(numbers[-1]) - int(numbers[0]) + 1 - numbers.size if numbers.size else 0
     rate = (time.size - 1) / span if span else 0.0
     return TopicDescription(name, messages.type_name, time.size, rate, gaps, missing, lost)

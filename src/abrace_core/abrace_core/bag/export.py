@@ -40,7 +40,7 @@ def columns(messages: TopicArrays) -> dict[str, NDArray[Any]]:
     """
     found: dict[str, NDArray[Any]] = {"log_time": messages.log_time, "publish_time": messages.publish_time}
     for name, values in messages.fields.items():
-        if values.dtype == object:
+        if values.dtype == object and not (values.size and isinstance(values.flat[0], str)):
             raise AbraceError(f"{name} has not the same length in all messages, expected a table's columns")
         places = itertools.product(*map(range, values.shape[1:]))
         for place, column in zip(places, values.reshape(len(values), math.prod(values.shape[1:])).T, strict=True):

@@ -29,6 +29,8 @@ UNITS = {
     "accel.linear.z": "m/s²",
 }
 """Of the quantities that abrace's messages carry."""
+_LARGEST = 1e300
+"""Larger numbers, which overflow an axis, are not drawn."""
 _NOT_DRAWN = ("header.stamp.sec", "header.stamp.nanosec")
 
 
@@ -60,7 +62,8 @@ def bag_figure(topics: Mapping[str, TopicArrays]) -> Figure:
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axis, (topic, name, values) in zip(axes, panels, strict=True):
         seconds = 1e-9 * (times[topic] - begin)
-        for number, channel in enumerate(values.T):
+        drawn = np.where(np.abs(values.astype(float)) < _LARGEST, values, np.nan)
+        for number, channel in enumerate(drawn.T):
             shade: dict[str, Any] = {"alpha": 1.0 - 0.7 * number / values.shape[1], "color": MEASURED, "lw": 0.8}
             axis.plot(seconds, channel, label=f"{number}", **shade)
         if 1 < values.shape[1] <= 12:
@@ -75,6 +78,6 @@ def bag_figure(topics: Mapping[str, TopicArrays]) -> Figure:
 def _time(messages: TopicArrays) -> NDArray[np.int64]:
     """(messages,) [ns]."""
     seconds, nanoseconds = (messages.fields.get(f"header.stamp.{part}") for part in ("sec", "nanosec"))
-    if seconds is None or nanoseconds is None or not seconds.any():
+    if seconds is None or nanoseconds is None or seconds.ndim > 1 or not seconds.any():
         return messages.log_time
     return seconds.astype(np.int64) * 1_000_000_000 + nanoseconds
