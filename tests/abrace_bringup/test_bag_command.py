@@ -68,12 +68,25 @@ def test_file_is_written(bag: Path, tmp_path: Path, action: str, topics: list[st
     assert output.read_bytes().startswith(begin)
 
 
+def test_topic_whose_name_has_no_slash_is_found(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        for name in ("imu", "/force"):
+            topic = bag.add_topic(name, "test_msgs/msg/Force", DEFINITION, "")
+            bag.write(topic, b"\0\1\0\0" + bytes(16), 1, 1)
+    for name in ("imu", "force", "/force"):
+        assert main(["bag", "csv", str(tmp_path / "bag"), name, "--output", str(tmp_path / "out.csv")]) == 0
+    assert main(["bag", "csv", str(tmp_path / "bag"), "/imu", "--output", str(tmp_path / "out.csv")]) == 2
+
+
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
         (["csv", "{bag}", "/other", "--output", "x"], "no topic /other in it, expected one of /force"),
         (["info", "{bag}x"], "no such bag"),
+        (["info", "n" * 5000], "File name too long"),
         (["mat", "{bag}", "--output", "{bag}/bag_0.mcap/x"], "cannot write"),
+        (["csv", "{bag}", "force", "--output", "/"], "cannot write /"),
+        (["mat", "{bag}", "--output", ""], "cannot write ."),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from abrace_bringup.table import Table
 from abrace_core.bag import BagContents, read_topics
+from abrace_core.bag.reader import topic_names
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -69,7 +70,10 @@ def bag_command(given: argparse.Namespace) -> None:
 
 def _read(bag: Path, topics: list[str]) -> BagContents:
     """The topics asked for, all if none; a leading slash may be left out."""
-    return read_topics(bag, [topic if topic.startswith("/") else f"/{topic}" for topic in topics] or None)
+    if not topics:
+        return read_topics(bag)
+    there = topic_names(bag)
+    return read_topics(bag, [topic if topic in there or topic.startswith("/") else f"/{topic}" for topic in topics])
 
 
 def bag_information(bag: Path) -> str:

@@ -25,7 +25,7 @@ def write_beside(path: Path | str) -> Iterator[Path]:
         If the folder cannot be made or written to.
     """
     path = Path(path)
-    beside = path.with_name(f".{os.getpid()}.{path.name}")
+    beside = path.parent / f".{os.getpid()}.{path.name}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield beside
