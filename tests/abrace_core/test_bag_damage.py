@@ -217,7 +217,7 @@ def without_messages(folder: Path) -> Sequence[Path]:
 
 def test_nothing_to_recover_is_an_error_and_writes_nothing(tmp_path: Path) -> None:
     for bag in without_messages(tmp_path):
-        with pytest.raises(AbraceError, match=r"no message in it that can be read"):
+        with pytest.raises(AbraceError, match=r"no message in it that can be read|not an MCAP file"):
             recover(bag, tmp_path / "whole")
     with pytest.raises(AbraceError, match="no such bag"):
         recover(tmp_path / "none", tmp_path / "whole")

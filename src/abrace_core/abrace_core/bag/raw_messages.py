@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import yaml
 
-from abrace_core.bag.mcap_file import McapFile
-from abrace_core.bag.reader import bag_files, missing_files
+from abrace_core.bag.reader import open_bag
 from abrace_core.bag.recorded_qos import RecordedQos, combined_qos, offer, recorded_qos
 from abrace_core.bag.selection import Wanted
 from abrace_core.errors import AbraceError
@@ -146,7 +145,7 @@ def _needs_rosbags(path: Path) -> bool:
             return any(path.glob("*.db3"))
         information = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
         return information["storage_identifier"] != "mcap" or bool(information.get("compression_format"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, AttributeError):
         # who looks for its MCAP files says what is wrong
         return False
 
@@ -155,8 +154,8 @@ def _from_mcap(bag: Path, asked: Collection[str]) -> RawBag:
     def wanted(channel: Channel) -> bool:
         return not asked or any(channel.topic == one or _ends_so(channel.topic, one) for one in asked)
 
-    files = [McapFile(path, Wanted(wanted)) for path in bag_files(bag)]
-    warnings = missing_files(bag) + [warning for file in files for warning in file.warnings]
+    opened = open_bag(bag, Wanted(wanted))
+    files, warnings = opened.files, opened.warnings
     chosen = choose_topics(bag, (channel.topic for file in files for channel in file.channels.values()), asked)
     topics: dict[str, RecordedTopic] = {}
     messages: list[RawMessage] = []

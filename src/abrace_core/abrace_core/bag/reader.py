@@ -13,7 +13,7 @@ import yaml
 from abrace_core.bag.cdr import decode
 from abrace_core.bag.mcap_file import McapFile
 from abrace_core.bag.mcap_records import read_facts_record
-from abrace_core.bag.ros2msg import parse_message_type
+from abrace_core.bag.ros2msg import is_same_type, parse_message_type
 from abrace_core.bag.selection import Wanted
 from abrace_core.errors import AbraceError
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TopicArrays:
-    """All messages of one topic, in the order in which they were logged.
+    """All messages of one topic, in the order of their log times.
 
     Parameters
     ----------
@@ -106,8 +106,8 @@ def read_topics(
     missing = sorted(set(topics or ()) - set(contents))
     if missing:
         why = f" ({'; '.join(contents.warnings)})" if contents.warnings else ""
-        named = sorted({topic for path in bag_files(bag) for topic in topics_of(path)})
-        raise AbraceError(f"{bag}: no topic {missing[0]} in it{why}, expected one of {', '.join(named) or 'none'}")
+        named = ", ".join(sorted(topic_names(bag))) or "none"
+        raise AbraceError(f"{bag}: no topic {missing[0]} in it{why}, expected one of {named}")
     return contents
 
 
@@ -115,8 +115,8 @@ def read_selected(
     bag: Path | str, wanted: Callable[[Channel], bool], begin: int | None = None, end: int | None = None
 ) -> BagContents:
     """Read the topics of a bag whose channels are wanted: `read_topics` by more than a name, else as `read_topics`."""
-    files = [McapFile(path, Wanted(wanted, begin, end)) for path in bag_files(bag)]
-    warnings = missing_files(bag) + [warning for file in files for warning in file.warnings]
+    opened = open_bag(bag, Wanted(wanted, begin, end))
+    files, warnings = opened.files, opened.warnings
     facts = next((file.facts for file in files if file.facts is not None), {})
     parts: dict[str, list[tuple[Channel, Stream | None]]] = {}
     for file in files:
@@ -129,7 +129,7 @@ def read_selected(
             contents[topic] = _topic(found)
         except AbraceError as error:
             warnings.append(f"{bag}: topic {topic} is left out: {error}")
-    if any(file.uncounted for file in files):
+    if opened.uncounted:
         warnings += [f"{bag}: {missing_messages(topic, found)}" for topic, found in contents.items()]
     records = {name: texts for file in files for name, texts in file.metadata.items()}
     attachments = {attachment.name: attachment.data for file in files for attachment in file.attachments}
@@ -144,7 +144,77 @@ def read_facts(bag: Path | str) -> dict[str, str]:
     AbraceError
         If there is no such bag, it isn't one, or its facts are damaged.
     """
-    return next((facts for facts in map(read_facts_record, bag_files(bag)) if facts is not None), {})
+    damaged = []
+    for path in bag_files(bag):
+        try:
+            facts = read_facts_record(path)
+        except AbraceError as error:
+            damaged.append(error)
+            continue
+        if facts is not None:
+            return facts
+    if damaged:
+        raise damaged[0]
+    return {}
+
+
+@dataclass(frozen=True)
+class OpenedBag:
+    """What is whole in the files of a bag.
+
+    Parameters
+    ----------
+    files
+        Those that can be read, in their order.
+    warnings
+        What is missing or can't be trusted, one sentence each.
+    uncounted
+        Whether messages are missing, nobody knows how many.
+    """
+
+    files: list[McapFile]
+    warnings: list[str]
+    uncounted: bool
+
+
+def open_bag(bag: Path | str, wanted: Wanted) -> OpenedBag:
+    """Read the files of a bag; one that can't be read does not keep the others from being read.
+
+    Parameters
+    ----------
+    bag
+        A bag directory or a single MCAP file.
+    wanted
+        Which messages to keep.
+
+    Raises
+    ------
+    AbraceError
+        If there is no such bag, or none of its files can be read.
+    """
+    files, refused = [], []
+    for path in bag_files(bag):
+        try:
+            files.append(McapFile(path, wanted))
+        except AbraceError as error:
+            refused.append(str(error))
+    if not files:
+        raise AbraceError("; ".join(refused))
+    warnings = missing_files(bag) + [f"{reason}; nothing is read of it" for reason in refused]
+    warnings += [warning for file in files for warning in file.warnings]
+    return OpenedBag(files, warnings, bool(refused) or any(file.uncounted for file in files))
+
+
+def topic_names(bag: Path | str) -> set[str]:
+    """Names of the topics of a `bag`.
+
+    Raises
+    ------
+    AbraceError
+        As `open_bag`.
+    """
+    files = open_bag(bag, Wanted(lambda _: False)).files
+    return {channel.topic for file in files for channel in file.channels.values()}
 
 
 def bag_files(bag: Path | str) -> list[Path]:
@@ -166,7 +236,7 @@ def bag_files(bag: Path | str) -> list[Path]:
         return [bag]
 
     def place(path: Path) -> list[int | str]:
-        return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
+        return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)]
 
     files = sorted(bag.glob("*.mcap"), key=place)
     if not files:
@@ -177,16 +247,11 @@ def bag_files(bag: Path | str) -> list[Path]:
 def missing_messages(topic: str, found: TopicArrays) -> str:
     """What is known of the messages of a `topic` that are missing beside those `found`, if the bag's count is lost."""
     sequence = found.fields.get("sequence")
-    if sequence is None or sequence.dtype.kind not in "iu" or not sequence.size:
+    if sequence is None or sequence.dtype.kind not in "iu" or sequence.ndim > 1 or not sequence.size:
         return f"topic {topic}: how many messages are missing is not known"
     first, last = int(sequence.min()), int(sequence.max())
     missing = last - first + 1 - np.unique(sequence).size
     return f"topic {topic}: {missing} of the samples {first} to {last} are missing, later ones are not known"
-
-
-def topics_of(path: Path) -> list[str]:
-    """The topics of one MCAP file."""
-    return [channel.topic for channel in McapFile(path, Wanted(lambda _: False)).channels.values()]
 
 
 def missing_files(bag: Path | str) -> list[str]:
@@ -198,20 +263,21 @@ def missing_files(bag: Path | str) -> list[str]:
     try:
         named = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]["relative_file_paths"]
         return [f"{bag}: {name} is missing" for name in named if not (bag / Path(name).name).is_file()]
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError) as error:
+    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError) as error:
         return [f"{path}: can't be read ({' '.join(str(error).split())})"]
 
 
 def _topic(found: list[tuple[Channel, Stream | None]]) -> TopicArrays:
     """All messages of one topic, from each file and channel that has some."""
     channel = found[0][0]
+    described = channel.type_name, channel.definition
     for other, _ in found:
-        if (other.type_name, other.definition) != (channel.type_name, channel.definition):
+        if not is_same_type(described, (other.type_name, other.definition)):
             raise AbraceError(f"has messages of {channel.type_name} and another {other.type_name}, expected one")
         if (other.message_encoding, other.schema_encoding) != ("cdr", "ros2msg"):
             encodings = f"{other.message_encoding!r} described by {other.schema_encoding!r}"
             raise AbraceError(f"is written as {encodings}, expected 'cdr' described by 'ros2msg'")
-    message_type = parse_message_type(channel.type_name, channel.definition)
+    message_type = parse_message_type(*described)
     streams = [stream for _, stream in found if stream is not None]
     first = 0
     payloads = []
@@ -222,7 +288,7 @@ def _topic(found: list[tuple[Channel, Stream | None]]) -> TopicArrays:
     none = [np.empty(0, np.int64)]
     log_time = np.concatenate(none + [stream.log_time for stream in streams])
     publish_time = np.concatenate(none + [stream.publish_time for stream in streams])
-    if len(streams) > 1:
+    if (log_time[1:] < log_time[:-1]).any():
         order = np.argsort(log_time, kind="stable")
         fields = {name: values[order] for name, values in fields.items()}
         log_time, publish_time = log_time[order], publish_time[order]

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from abrace_core.bag.mcap_file import McapFile
-from abrace_core.bag.reader import bag_files, missing_files, missing_messages, read_topics
+from abrace_core.bag.reader import missing_messages, open_bag, read_topics
+from abrace_core.bag.ros2msg import is_same_type
+from abrace_core.bag.rosbag2 import DEFAULT_QOS
 from abrace_core.bag.selection import Wanted
 from abrace_core.bag.tally import tallied_losses
 from abrace_core.bag.writer import WRITTEN_RECORDS, BagWriter
@@ -17,6 +18,7 @@ from abrace_core.errors import AbraceError
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from abrace_core.bag.mcap_file import McapFile
     from abrace_core.bag.stream import Channel, Stream
 
 
@@ -54,16 +56,9 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
     AbraceError
         If there is no such bag, it has no message that can be read, or the new one can't be written.
     """
-    warnings = missing_files(bag)
-    files = []
-    for path in bag_files(bag):
-        try:
-            files.append(McapFile(path, Wanted(lambda _: True)))
-        except AbraceError as error:
-            warnings.append(f"{error}; nothing is read of it")
-    for file in files:
-        warnings += file.warnings
-    types: dict[str, str] = {}
+    opened = open_bag(bag, Wanted(lambda _: True))
+    files, warnings = opened.files, opened.warnings
+    types: dict[str, tuple[str, str]] = {}
     usable = [_usable(str(bag), file, types, warnings) for file in files]
     found = (stream.count for file, numbers in zip(files, usable, strict=True) for stream in _streams(file, numbers))
     if not any(found):
@@ -91,7 +86,7 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
                 writer.write(topic_id, payload, log_time, publish_time)
         for topic, topic_id in topics.items():
             writer.add_lost(topic_id, lost.get(topic, 0))
-    if any(file.uncounted for file in files):
+    if opened.uncounted:
         warnings += [f"{bag}: {missing_messages(topic, found)}" for topic, found in read_topics(output).items()]
     return Recovered(counts, tuple(warnings))
 
@@ -100,16 +95,16 @@ def _streams(file: McapFile, numbers: list[int]) -> list[Stream]:
     return [file.streams[number] for number in numbers if number in file.streams]
 
 
-def _usable(bag: str, file: McapFile, types: dict[str, str], warnings: list[str]) -> list[int]:
+def _usable(bag: str, file: McapFile, types: dict[str, tuple[str, str]], warnings: list[str]) -> list[int]:
     """Numbers of the channels that our bags can hold, each topic of one type; the others are said."""
     usable = []
     for number, channel in file.channels.items():
         encodings = (channel.message_encoding, channel.schema_encoding)
-        known = types.setdefault(channel.topic, channel.type_name)
+        known = types.setdefault(channel.topic, (channel.type_name, channel.definition))
         if encodings != ("cdr", "ros2msg"):
             said = f"is written as {encodings[0]!r} described by {encodings[1]!r}, expected 'cdr' by 'ros2msg'"
-        elif channel.type_name != known:
-            said = f"is {channel.type_name}, expected {known} as before"
+        elif not is_same_type(known, (channel.type_name, channel.definition)):
+            said = f"is another {channel.type_name}, expected {known[0]} as before"
         else:
             usable.append(number)
             continue
@@ -121,8 +116,9 @@ def _add(writer: BagWriter, channel: Channel) -> int:
     """Announce a topic as it was in the old bag."""
     try:
         profiles = yaml.safe_load(channel.details.get("offered_qos_profiles", ""))
-    except yaml.YAMLError:
+    except (yaml.YAMLError, ValueError):
         profiles = None
-    known = profiles if isinstance(profiles, list) and all(isinstance(profile, dict) for profile in profiles) else []
+    profiles = [profile for profile in profiles if isinstance(profile, dict)] if isinstance(profiles, list) else []
+    known = [{word: profile[word] for word in DEFAULT_QOS if word in profile} for profile in profiles]
     type_hash = channel.details.get("topic_type_hash", "")
     return writer.add_topic(channel.topic, channel.type_name, channel.definition, type_hash, *known)

@@ -133,6 +133,14 @@ def parse_message_type(type_name: str, text: str) -> MessageType:
     return MessageType(name, fields)
 
 
+def is_same_type(one: tuple[str, str], other: tuple[str, str]) -> bool:
+    """Whether two definitions, each a type's name and its text, have the same fields; comments may differ."""
+    try:
+        return one == other or parse_message_type(*one) == parse_message_type(*other)
+    except AbraceError:
+        return False
+
+
 def referred_types(name: str, fields: Sequence[MessageField]) -> list[str]:
     """Message types that these fields of type `name` (`package/Type`) use, as `package/Type`, in order."""
     types = []

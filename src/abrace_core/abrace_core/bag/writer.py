@@ -80,7 +80,7 @@ class BagWriter:
         self._compressor = compressor(compression)
         self._split_size = split_size
         self._split_duration = round(split_duration * 1e9)
-        self._schemas: dict[str, Schema] = {}
+        self._schemas: dict[tuple[str, str], Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._topics: dict[int, dict[str, Any]] = {}
         self._tallies: dict[int, Tally] = {}
@@ -139,18 +139,19 @@ class BagWriter:
         if unknown:
             raise AbraceError(f"bag {self.directory}: topic {name}: unknown QoS {unknown[0]!r}")
         numbered = is_numbered(definition_text)
-        if type_name not in self._schemas:
+        described = type_name, definition_text
+        if described not in self._schemas:
             schema = Schema(
                 id=len(self._schemas) + 1, name=type_name, encoding="ros2msg", data=definition_text.encode()
             )
-            self._schemas[type_name] = schema
+            self._schemas[described] = schema
             self._file.add_schema(schema)
         topic_id = len(self._channels) + 1
         channel = Channel(
             id=topic_id,
             topic=name,
             message_encoding="cdr",
-            schema_id=self._schemas[type_name].id,
+            schema_id=self._schemas[described].id,
             metadata={"offered_qos_profiles": yaml_text(profiles).rstrip(), "topic_type_hash": type_hash},
         )
         self._channels[topic_id] = channel
