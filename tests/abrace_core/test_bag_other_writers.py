@@ -222,3 +222,27 @@ def test_one_very_long_text_among_many_short_ones_takes_no_room_for_all(tmp_path
     assert found.tolist() == texts
     assert found.nbytes < 1e6, "1.2 GB if each had the length of the longest"
     np.testing.assert_array_equal(read_topics(tmp_path / "bag.mcap", end=3000)["/texts"].fields["data"], texts[:3000])
+
+
+@pytest.mark.parametrize("wrong", [b"", b"\0\1\0\0", number(7)[:-1], b"\0\0" + number(7)[2:]])
+def test_messages_that_do_not_fit_their_definition_cost_themselves_alone(tmp_path: Path, wrong: bytes) -> None:
+    def write_with(path: Path, misfits: set[int]) -> Path:
+        with path.open("wb") as file:
+            writer = Writer(file)
+            writer.start("ros2")
+            schema = writer.register_schema("test_msgs/msg/Numbered", "ros2msg", NUMBERED.encode())
+            topic = writer.register_channel("/numbers", "cdr", schema)
+            for k in range(500):
+                writer.add_message(topic, k, wrong if k in misfits else number(k), k)
+            writer.finish()
+        return path
+
+    contents = read_topics(write_with(tmp_path / "some.mcap", {7, 300, 499}))
+    whole = [k for k in range(500) if k not in (7, 300, 499)]
+    assert contents["/numbers"].fields["sequence"].tolist() == contents["/numbers"].log_time.tolist() == whole
+    (warning,) = contents.warnings
+    assert "topic /numbers: 3 of 500 messages are left out: message 7: " in warning
+    for misfits in (set(range(400)), set(range(500))):
+        contents = read_topics(write_with(tmp_path / "most.mcap", misfits))
+        assert list(contents) == []
+        assert "topic /numbers is left out: message" in contents.warnings[0]

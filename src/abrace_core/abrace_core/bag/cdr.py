@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from abrace_core.bag.ros2msg import MessageType
 
 _HEADER_SIZE = 4
+_MOST_MISFITS = 100
 _PADDED_SIZE = 1 << 28
 """Bytes of texts, each as long as the longest, above which they become objects."""
 
@@ -82,6 +83,41 @@ def decode(message_type: MessageType, payloads: Sequence[tuple[NDArray[np.int64]
     if not groups:
         return {path: np.empty(0) for path in _paths(message_type, message_type.name)}
     return {path: _joined(count, [(numbers, group[path]) for numbers, group in groups]) for path in groups[0][1]}
+
+
+def misfits(
+    message_type: MessageType, payloads: Sequence[tuple[NDArray[np.int64], NDArray[np.void]]]
+) -> NDArray[np.int64]:
+    """Numbers of the messages that `decode` refuses, found by halving.
+
+    Parameters
+    ----------
+    message_type, payloads
+        As for `decode`.
+
+    Raises
+    ------
+    AbraceError
+        If there are many: the definition is another type's then.
+    """
+    found: list[int] = []
+
+    def look(numbers: NDArray[np.int64], block: NDArray[np.void]) -> None:
+        try:
+            decode(message_type, [(np.arange(len(block)), block)])
+        except AbraceError:
+            if len(found) == _MOST_MISFITS:
+                raise
+            if len(block) == 1:
+                found.append(int(numbers[0]))
+                return
+            half = len(block) // 2
+            look(numbers[:half], block[:half])
+            look(numbers[half:], block[half:])
+
+    for numbers, block in payloads:
+        look(numbers, block)
+    return np.array(found, np.int64)
 
 
 def _alike(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from abrace_core.bag.cdr import decode
+from abrace_core.bag.cdr import decode, misfits
 from abrace_core.bag.mcap_file import McapFile
 from abrace_core.bag.mcap_records import read_facts_record
 from abrace_core.bag.ros2msg import is_same_type, parse_message_type
@@ -126,7 +126,8 @@ def read_selected(
     contents = {}
     for topic, found in parts.items():
         try:
-            contents[topic] = _topic(found)
+            contents[topic], left_out = _topic(found)
+            warnings += [f"{bag}: topic {topic}: {what}" for what in left_out]
         except AbraceError as error:
             warnings.append(f"{bag}: topic {topic} is left out: {error}")
     if opened.uncounted:
@@ -267,8 +268,8 @@ def missing_files(bag: Path | str) -> list[str]:
         return [f"{path}: can't be read ({' '.join(str(error).split())})"]
 
 
-def _topic(found: list[tuple[Channel, Stream | None]]) -> TopicArrays:
-    """All messages of one topic, from each file and channel that has some."""
+def _topic(found: list[tuple[Channel, Stream | None]]) -> tuple[TopicArrays, list[str]]:
+    """All messages of one topic, from each file and channel that has some, and what is left out of them."""
     channel = found[0][0]
     described = channel.type_name, channel.definition
     for other, _ in found:
@@ -284,12 +285,24 @@ def _topic(found: list[tuple[Channel, Stream | None]]) -> TopicArrays:
     for stream in streams:
         payloads += [(numbers + first, block) for numbers, block in stream.payloads()]
         first += stream.count
-    fields = decode(message_type, payloads)
     none = [np.empty(0, np.int64)]
     log_time = np.concatenate(none + [stream.log_time for stream in streams])
     publish_time = np.concatenate(none + [stream.publish_time for stream in streams])
+    left_out = []
+    try:
+        fields = decode(message_type, payloads)
+    except AbraceError as error:
+        fits = np.ones(first, bool)
+        fits[misfits(message_type, payloads)] = False
+        if not fits.any():
+            raise
+        left_out = [f"{first - fits.sum()} of {first} messages are left out: {error}"]
+        place = np.cumsum(fits) - 1
+        kept = [(place[numbers[fits[numbers]]], block[fits[numbers]]) for numbers, block in payloads]
+        fields = decode(message_type, [part for part in kept if len(part[0])])
+        log_time, publish_time = log_time[fits], publish_time[fits]
     if (log_time[1:] < log_time[:-1]).any():
         order = np.argsort(log_time, kind="stable")
         fields = {name: values[order] for name, values in fields.items()}
         log_time, publish_time = log_time[order], publish_time[order]
-    return TopicArrays(channel.type_name, fields, log_time, publish_time)
+    return TopicArrays(channel.type_name, fields, log_time, publish_time), left_out
