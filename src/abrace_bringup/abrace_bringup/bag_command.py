@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from abrace_bringup.table import Table
 from abrace_core.bag import BagContents, read_topics
-from abrace_core.bag.reader import topic_names
+from abrace_core.bag.opened_bag import topic_names
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.bag.reader import bag_files, read_topics
+from abrace_core.bag.opened_bag import bag_files
+from abrace_core.bag.reader import read_topics
 from abrace_core.bag.tally import tallied_losses
 
 if TYPE_CHECKING:

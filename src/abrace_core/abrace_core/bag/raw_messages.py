@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import yaml
 
-from abrace_core.bag.reader import open_bag
+from abrace_core.bag.opened_bag import open_bag
 from abrace_core.bag.recorded_qos import RecordedQos, combined_qos, offer, recorded_qos
 from abrace_core.bag.selection import Wanted
 from abrace_core.errors import AbraceError

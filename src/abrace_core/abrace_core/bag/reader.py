@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 
 from abrace_core.bag.cdr import decode, misfits
-from abrace_core.bag.mcap_file import McapFile
 from abrace_core.bag.mcap_records import read_facts_record
+from abrace_core.bag.opened_bag import bag_files, open_bag, topic_names
 from abrace_core.bag.ros2msg import is_same_type, parse_message_type
 from abrace_core.bag.selection import Wanted
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -159,92 +157,6 @@ def read_facts(bag: Path | str) -> dict[str, str]:
     return {}
 
 
-@dataclass(frozen=True)
-class OpenedBag:
-    """What is whole in the files of a bag.
-
-    Parameters
-    ----------
-    files
-        Those that can be read, in their order.
-    warnings
-        What is missing or can't be trusted, one sentence each.
-    uncounted
-        Whether messages are missing, nobody knows how many.
-    """
-
-    files: list[McapFile]
-    warnings: list[str]
-    uncounted: bool
-
-
-def open_bag(bag: Path | str, wanted: Wanted) -> OpenedBag:
-    """Read the files of a bag; one that can't be read does not keep the others from being read.
-
-    Parameters
-    ----------
-    bag
-        A bag directory or a single MCAP file.
-    wanted
-        Which messages to keep.
-
-    Raises
-    ------
-    AbraceError
-        If there is no such bag, or none of its files can be read.
-    """
-    files, refused = [], []
-    for path in bag_files(bag):
-        try:
-            files.append(McapFile(path, wanted))
-        except AbraceError as error:
-            refused.append(str(error))
-    if not files:
-        raise AbraceError("; ".join(refused))
-    warnings = missing_files(bag) + [f"{reason}; nothing is read of it" for reason in refused]
-    warnings += [warning for file in files for warning in file.warnings]
-    return OpenedBag(files, warnings, bool(refused) or any(file.uncounted for file in files))
-
-
-def topic_names(bag: Path | str) -> set[str]:
-    """Names of the topics of a `bag`.
-
-    Raises
-    ------
-    AbraceError
-        As `open_bag`.
-    """
-    files = open_bag(bag, Wanted(lambda _: False)).files
-    return {channel.topic for file in files for channel in file.channels.values()}
-
-
-def bag_files(bag: Path | str) -> list[Path]:
-    """The MCAP files of a `bag`, in their order.
-
-    Raises
-    ------
-    AbraceError
-        If there is none.
-    """
-    bag = Path(bag)
-    try:
-        there = bag.exists()
-    except OSError as error:
-        raise AbraceError(f"{bag}: {error.strerror}") from error
-    if not there:
-        raise AbraceError(f"{bag}: no such bag, expected a bag directory or an MCAP file")
-    if not bag.is_dir():
-        return [bag]
-
-    def place(path: Path) -> list[int | str]:
-        return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)]
-
-    files = sorted(bag.glob("*.mcap"), key=place)
-    if not files:
-        raise AbraceError(f"{bag}: no MCAP file in it, expected a bag directory")
-    return files
-
-
 def missing_messages(topic: str, found: TopicArrays) -> str:
     """What is known of the messages of a `topic` that are missing beside those `found`, if the bag's count is lost."""
     sequence = found.fields.get("sequence")
@@ -253,19 +165,6 @@ def missing_messages(topic: str, found: TopicArrays) -> str:
     first, last = int(sequence.min()), int(sequence.max())
     missing = last - first + 1 - np.unique(sequence).size
     return f"topic {topic}: {missing} of the samples {first} to {last} are missing, later ones are not known"
-
-
-def missing_files(bag: Path | str) -> list[str]:
-    """Files that the metadata.yaml of a `bag` names and that are not there, one sentence each."""
-    bag = Path(bag)
-    path = bag / "metadata.yaml"
-    if not path.is_file():
-        return []
-    try:
-        named = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]["relative_file_paths"]
-        return [f"{bag}: {name} is missing" for name in named if not (bag / Path(name).name).is_file()]
-    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError) as error:
-        return [f"{path}: can't be read ({' '.join(str(error).split())})"]
 
 
 def _topic(found: list[tuple[Channel, Stream | None]]) -> tuple[TopicArrays, list[str]]:

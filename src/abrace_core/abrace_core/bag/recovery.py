@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from abrace_core.bag.reader import missing_messages, open_bag, read_topics
+from abrace_core.bag.opened_bag import open_bag
+from abrace_core.bag.reader import missing_messages, read_topics
 from abrace_core.bag.ros2msg import is_same_type
 from abrace_core.bag.rosbag2 import DEFAULT_QOS
 from abrace_core.bag.selection import Wanted
