@@ -83,6 +83,19 @@ def test_fingerprints_tell_messages_apart(tmp_path: Path) -> None:
         assert np.unique(fingerprints(messages)).size == messages.log_time.size
 
 
+@pytest.mark.parametrize("place", range(8))
+def test_damaged_opening_mark_costs_nothing(tmp_path: Path, place: int) -> None:
+    path = write_bag(tmp_path / "bag", 20)
+    flip(path, place, place)
+    contents = read_topics(path)
+    assert contents["/response"].fields["sequence"].tolist() == list(range(20))
+    assert contents.facts == FACTS
+    assert contents.warnings == (f"{path}: its opening mark is damaged",)
+    flip(path, (place + 1) % 8, 0)
+    with pytest.raises(AbraceError, match="not an MCAP file"):
+        read_topics(path)
+
+
 @pytest.mark.parametrize("part", ["opcode", "length"])
 @pytest.mark.parametrize("indexed", [True, False])
 def test_a_damaged_head_costs_its_chunk_alone(tmp_path: Path, part: str, indexed: bool) -> None:

@@ -107,6 +107,16 @@ def test_chunk_that_passes_for_an_unknown_record_is_missed_by_topic(tmp_path: Pa
     assert any(f"/early: {lost} of the samples 0 to 59 are missing" in warning for warning in contents.warnings)
 
 
+def test_header_that_passes_for_a_message_costs_nothing(tmp_path: Path) -> None:
+    path = write(tmp_path / "bag.mcap")
+    content = bytearray(path.read_bytes())
+    content[8] ^= 4
+    path.write_bytes(content)
+    contents = read_topics(path)
+    assert contents["/early"].log_time.size == 60
+    assert any("damaged at byte 8 " in warning for warning in contents.warnings)
+
+
 @pytest.mark.parametrize("bit", [20, 33, 47, 62, 63])
 def test_chunk_that_says_it_is_huge_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bit: int) -> None:
     unsized = zstandard.ZstdCompressor(write_content_size=False)

@@ -97,10 +97,14 @@ class McapFile:
             if index is None or not self._read_by_index(file, index):
                 self._found = Selection(wanted)
                 self._read_all(file, index, trouble)
+            file.seek(0)
+            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+                self._warn("its opening mark is damaged")
         self.channels: dict[int, Channel] = self._found.descriptions.channels
         self.streams: dict[int, Stream] = self._found.streams
         for number in [number for number in self.streams if number not in self.channels]:
             lost = self.streams.pop(number).count
+            self.uncounted = True
             self._warn(f"{lost} messages of channel {number} are left out: what the channel is was lost")
 
     def _warn(self, text: str) -> None:
@@ -192,7 +196,8 @@ class McapFile:
                 raise DamagedError("is a chunk among messages outside chunks")
             self._chunk = offset, parse_chunk(body)
         elif opcode == Opcode.MESSAGE:
-            if self._found.counts or len(body) < MESSAGE_HEAD_SIZE - RECORD_HEAD.size:
+            first = offset == len(MCAP0_MAGIC)  # there stands the header
+            if first or self._found.counts or len(body) < MESSAGE_HEAD_SIZE - RECORD_HEAD.size:
                 raise DamagedError("is a message outside the chunks")
             self._loose += RECORD_HEAD.pack(opcode, len(body)) + body
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import operator
 import os
 import struct
 import zlib
@@ -90,6 +91,11 @@ class RecordFields:
             raise DamagedError("has lengths that don't fit")
 
 
+def _is_nearly_mark(mark: bytes) -> bool:
+    """Whether the first bytes of a file are MCAP's opening mark, one of them damaged or none."""
+    return len(mark) == len(MCAP0_MAGIC) and sum(map(operator.ne, mark, MCAP0_MAGIC)) <= 1
+
+
 @contextlib.contextmanager
 def open_mcap(path: Path) -> Iterator[BinaryIO]:
     """The file, behind MCAP's opening mark."""
@@ -98,7 +104,7 @@ def open_mcap(path: Path) -> Iterator[BinaryIO]:
             mark = file.read(len(MCAP0_MAGIC))
             if not mark:
                 raise AbraceError(f"{path}: the file is empty, expected an MCAP file")
-            if mark != MCAP0_MAGIC:
+            if not _is_nearly_mark(mark):
                 raise AbraceError(f"{path}: not an MCAP file")
             yield file
     except OSError as error:
