@@ -141,6 +141,24 @@ def test_whole_messages_of_the_open_chunk_are_read(tmp_path: Path, compression: 
     assert any("without its checksum" in warning for warning in contents.warnings)
 
 
+@pytest.mark.parametrize("zeros", [1, 9, 60, 4096])
+def test_zeros_at_the_end_of_a_file_are_no_values(tmp_path: Path, zeros: int) -> None:
+    with BagWriter(tmp_path / "bag", FACTS, compression="none") as bag:
+        topic = bag.add_topic("/response", RESPONSE, DEFINITIONS[RESPONSE], "")
+        for k in range(100):
+            bag.write(topic, response(k), k, k)
+    path = tmp_path / "bag/bag_0.mcap"
+    whole, end = path.read_bytes(), chunk_offsets(path)[0] + 8000
+    for cut in range(end, end + 250, 9):
+        path.write_bytes(whole[:cut] + bytes(zeros))
+        read = read_topics(path)["/response"].fields
+        assert read["sequence"].tolist() == list(range(read["sequence"].size))
+        assert read["sequence"].size > 20
+        for k in (-1, -2):
+            _, *values = np.random.default_rng(read["sequence"][k]).normal(size=10)
+            assert read["ground_acceleration"][k] == values[-1]
+
+
 def test_message_index_that_lies_is_not_believed(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", 200, flush_every=50)
     whole = read_topics(path)["/response"].fields["force"]

@@ -104,7 +104,8 @@ def unpack(chunk: Chunk) -> bytes:
 def unpack_beginning(chunk: Chunk) -> bytes:
     """The whole records at the beginning of a `chunk` that is cut off, of which no checksum tells that they are right.
 
-    Compressed data comes in blocks of up to 128 KiB, and of a block that is cut off comes nothing.
+    Compressed data comes in blocks of up to 128 KiB, and of a block that is cut off comes nothing. After a power loss
+    a file may end in zeros that were never written: a record that ends in them is not known to be whole.
     """
     data = b""
     try:
@@ -116,10 +117,11 @@ def unpack_beginning(chunk: Chunk) -> bytes:
             data = chunk.packed
     except (zstandard.ZstdError, RuntimeError, MemoryError):
         return b""
+    written = len(data.rstrip(b"\0"))
     end = 0
-    while end + RECORD_HEAD.size <= len(data):
+    while end + RECORD_HEAD.size <= written:
         record_end = end + RECORD_HEAD.size + RECORD_HEAD.unpack_from(data, end)[1]
-        if record_end > len(data):
+        if record_end > written:
             break
         end = record_end
     return data[:end]
