@@ -103,6 +103,15 @@ def test_what_no_table_can_hold_is_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_times_of_the_bag_and_of_its_messages_are_kept_apart(tmp_path: Path) -> None:
+    messages = arrays(log_time=[7.5, 8.5, 9.5])
+    named = columns(messages)
+    assert (named["log_time"].tolist(), named["message.log_time"].tolist()) == ([0, 1, 2], [7.5, 8.5, 9.5])
+    write_mat(tmp_path / "out.mat", {"/a": messages}, {})
+    struct = loadmat(tmp_path / "out.mat", simplify_cells=True)["a"]
+    assert (struct["log_time"].tolist(), struct["message_log_time"].tolist()) == ([0, 1, 2], [7.5, 8.5, 9.5])
+
+
 def test_texts_of_very_different_lengths_are_written_too(tmp_path: Path) -> None:
     texts = np.array(["short", "x" * 1000, ""], object)
     write_csv(tmp_path / "out.csv", arrays(data=texts))

@@ -31,15 +31,16 @@ def columns(messages: TopicArrays) -> dict[str, NDArray[Any]]:
     Returns
     -------
     dict
-        By name, `log_time` and `publish_time` [ns] first, the elements of an array as `force[0]`: (messages,) each.
+        By name, the bag's `log_time` and `publish_time` [ns] first (a field of that name is `message.log_time`), the
+        elements of an array as `force[0]`: (messages,) each.
 
     Raises
     ------
     AbraceError
         If an array has not the same length in all messages.
     """
-    found: dict[str, NDArray[Any]] = {"log_time": messages.log_time, "publish_time": messages.publish_time}
-    for name, values in messages.fields.items():
+    found: dict[str, NDArray[Any]] = {}
+    for name, values in _with_times(messages).items():
         if values.dtype == object and not (values.size and isinstance(values.flat[0], str)):
             raise AbraceError(f"{name} has not the same length in all messages, expected a table's columns")
         places = itertools.product(*map(range, values.shape[1:]))
@@ -85,11 +86,16 @@ def write_mat(path: Path | str, topics: Mapping[str, TopicArrays], facts: Mappin
 
     structs: dict[str, Any] = {}
     for topic, messages in topics.items():
-        times = {"log_time": messages.log_time, "publish_time": messages.publish_time}
-        _add(structs, topic, _struct({**times, **messages.fields}))
+        _add(structs, topic, _struct(_with_times(messages)))
     _add(structs, "facts", _struct(facts))
     with write_beside(path) as beside:
         savemat(str(beside), structs, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
+
+
+def _with_times(messages: TopicArrays) -> dict[str, NDArray[Any]]:
+    """The bag's times and the fields; a field of such a name becomes `message.log_time`."""
+    times = {"log_time": messages.log_time, "publish_time": messages.publish_time}
+    return times | {f"message.{name}" if name in times else name: values for name, values in messages.fields.items()}
 
 
 def _struct(values: Mapping[str, Any]) -> dict[str, Any]:
