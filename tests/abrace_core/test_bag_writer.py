@@ -115,6 +115,28 @@ def test_a_split_bag_is_one_bag(tmp_path: Path, limits: dict[str, Any], most_fil
         assert [STORE.deserialize_cdr(raw, STRING).data for _, _, raw in reader.messages()] == texts
 
 
+def test_split_size_counts_messages_however_much_stands_before_them(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", {"rig_file": "x" * 5000}, compression="none", split_size=1000) as bag:
+        write_notes(bag, 2000)
+    information = yaml.safe_load((tmp_path / "bag/metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    counts = [file["message_count"] for file in information["files"]]
+    assert len(counts) > 3
+    assert min(counts[:-1]) > 100, "a file takes at least a chunk"
+
+
+def test_a_bag_that_cannot_be_begun_is_not_there(tmp_path: Path) -> None:
+    record = tmp_path / "record.at2"
+    record.write_bytes(bytes(300_000))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, limits[1]))
+    try:
+        with pytest.raises(AbraceError, match=r"cannot write bag .*bag: File too large"):
+            BagWriter(tmp_path / "bag", {}, attachments=file_attachments([record]))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not (tmp_path / "bag").exists(), "the next try finds no bag in its way"
+
+
 def test_a_topic_keeps_what_each_of_its_publishers_offers(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", {}) as bag:
         bag.add_topic("/note", STRING, TEXT, "RIHS01_0", {"depth": 7}, {"reliability": "best_effort"})
@@ -226,6 +248,44 @@ def test_a_disk_that_fills_is_told_to_the_one_who_writes(tmp_path: Path) -> None
     assert len(kept) > 500
     assert [text.split()[1] for text in kept] == [str(k) for k in range(len(kept))]
     assert not any(thread.name == "bag" for thread in threading.enumerate())
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_split_that_fails_ends_the_thread_quietly(tmp_path: Path) -> None:
+    writing = WritingThread(BagWriter(tmp_path / "bag", {}), 0.01)
+    (tmp_path / "bag").rename(tmp_path / "elsewhere")
+    with pytest.raises(AbraceError, match=r"cannot write bag .*bag: No such file"), writing.bag() as bag:
+        bag.split()
+    for thread in threading.enumerate():
+        if thread.name == "bag":
+            thread.join()
+    with pytest.raises(AbraceError, match="No such file"):
+        writing.close()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_whatever_goes_wrong_in_the_thread_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bag = BagWriter(tmp_path / "bag", {})
+    topic = bag.add_topic("/note", STRING, TEXT, "RIHS01_0")
+    monkeypatch.setattr(bag, "write", lambda *_: bytes(2**60))
+    writing = WritingThread(bag, 0.01)
+    writing.write(topic, note(""), START, START)
+    with pytest.raises(AbraceError, match=r"cannot write bag .*bag: MemoryError"):
+        writing.close()
+
+
+def test_a_snapshot_stays_small_and_forgets_times_to_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("abrace_core.bag.snapshot.CAPACITY", 100_000)
+    snapshot = Snapshot(2.0)
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        topic = bag.add_topic("/note", STRING, TEXT, "RIHS01_0")
+        snapshot.write(topic, bytes(200_000), START, START)
+        for k in range(1000):
+            snapshot.write(topic, note(str(k)), START + k, START)
+        assert 400 < snapshot.hand_to(bag) < 500, "a message takes some 200 bytes beside its own"
+        snapshot.write(topic, note("the clock is set back"), START, START)
+        snapshot.write(topic, note("then"), START - 3600 * SECOND, START)
+        assert snapshot.hand_to(bag) == 1
 
 
 def test_a_snapshot_keeps_the_last_seconds_and_nothing_twice(tmp_path: Path) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
+from abrace_core.bag.writing_thread import OVERHEAD
+
 if TYPE_CHECKING:
     from abrace_core.bag.writer import BagWriter
 
 CAPACITY = 512 * 1024 * 1024
-"""Bytes of messages that are kept at most, however short the time."""
+"""Bytes that are kept at most, however short the time."""
 
 
 class Snapshot:
@@ -40,9 +42,10 @@ class Snapshot:
         """
         messages = self._messages
         messages.append((topic_id, payload, log_time_ns, publish_time_ns))
-        self._size += len(payload)
-        while messages[0][2] < log_time_ns - self._duration or self._size > CAPACITY:
-            self._size -= len(messages.popleft()[1])
+        self._size += len(payload) + OVERHEAD
+        # a clock that was set back leaves messages of times to come
+        while messages and (abs(log_time_ns - messages[0][2]) > self._duration or self._size > CAPACITY):
+            self._size -= len(messages.popleft()[1]) + OVERHEAD
 
     def hand_to(self, bag: BagWriter) -> int:
         """Write what is kept to a bag, which keeps nothing here; returns how many messages that were.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +52,7 @@ class BagWriter:
     compression
         Of the chunks: `zstd`, `lz4` or `none`.
     split_size
-        Bytes after which the next file begins; 0: never.
+        Bytes of messages, as compressed, after which the next file begins; 0: never.
     split_duration
         Seconds after which the next file begins; 0: never.
 
@@ -91,11 +92,11 @@ class BagWriter:
             raise AbraceError(f"bag {self.directory} exists already, expected a new directory") from error
         except OSError as error:
             raise self._failure(error) from error
-        self._open_file()
-        with self._failing():
-            for attachment in attachments:
-                self._file.add_attachment(attachment)
-            self._file.flush()
+        try:
+            self._open_file(attachments)
+        except BaseException:
+            shutil.rmtree(self.directory, ignore_errors=True)
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -278,12 +279,12 @@ class BagWriter:
 
     def _full(self, time: int) -> bool:
         """Whether a message that arrived at this time [ns] belongs into the next file."""
-        if self._split_size and self._file.size >= self._split_size:
+        if self._split_size and self._file.size - self._head_size >= self._split_size:
             return True
         return self._split_duration > 0 and time - self._span.first_time >= self._split_duration
 
-    def _open_file(self) -> None:
-        """Begin the next file with what each file holds."""
+    def _open_file(self, attachments: Sequence[Attachment] = ()) -> None:
+        """Begin the next file with what each file holds, the first one with what is attached."""
         span = FileSpan(f"{self.directory.name}_{len(self._files)}.mcap", counts=dict.fromkeys(self._topics, 0))
         try:
             self._file = McapWriter(self.directory / span.name, *self._compressor)
@@ -299,7 +300,10 @@ class BagWriter:
                 self._file.add_schema(schema)
             for channel in self._channels.values():
                 self._file.add_channel(channel)
+            for attachment in attachments:
+                self._file.add_attachment(attachment)
             self._file.flush()
+        self._head_size = self._file.size
 
     def _finish_file(self) -> None:
         with self._failing():

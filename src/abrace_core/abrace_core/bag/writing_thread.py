@@ -21,7 +21,7 @@ CAPACITY = 256 * 1024 * 1024
 _URGENT = 4 * 1024 * 1024
 """Bytes that wake the thread before it is time to flush."""
 
-_OVERHEAD = 200
+OVERHEAD = 200
 """Bytes that a waiting message takes beside its own."""
 
 
@@ -73,7 +73,7 @@ class WritingThread:
         log_time_ns, publish_time_ns
             When it arrived and when it was published [ns].
         """
-        size = len(payload) + _OVERHEAD
+        size = len(payload) + OVERHEAD
         waiting = self._given - self._written + size
         if waiting > self._capacity:
             self.overflowed[topic_id] += 1
@@ -136,6 +136,8 @@ class WritingThread:
             self._wake.wait(max(0.0, flush_due - time.monotonic()))
             self._wake.clear()
             with self._lock:
+                if self._failure:
+                    return
                 try:
                     self._drain()
                     if time.monotonic() >= flush_due:
@@ -144,10 +146,13 @@ class WritingThread:
                 except AbraceError as error:
                     self._failure = error
                     return
+                except Exception as error:
+                    self._failure = AbraceError(f"cannot write bag {self._bag.directory}: {error!r}")
+                    raise
 
     def _drain(self) -> None:
         write, waiting = self._bag.write, self._waiting
         for _ in range(len(waiting)):
             message = waiting.popleft()
             write(*message)
-            self._written += len(message[1]) + _OVERHEAD
+            self._written += len(message[1]) + OVERHEAD
