@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import resource
+import subprocess
+import sys
+from types import SimpleNamespace
 
 import logger_endurance
 import mcap.reader
@@ -12,12 +15,16 @@ import pytest
 import rclpy
 import yaml
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Float64, Header, String
 from std_srvs.srv import Trigger
 
 from abrace_core.bag import read_facts, read_topics
+from abrace_core.bag.topic_choice import TopicChoice
+from abrace_core.raw_subscription import published_definition
 from abrace_interfaces.msg import BraceCommand
+from abrace_plant.nodes.logger import Logger, Recorded
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -138,6 +145,22 @@ def test_pause_split_stop_and_start_are_services(graph):
     assert list(read_topics(bag.with_name("bag_2"))[topic].fields["data"]) == [99]
 
 
+def test_a_pause_leaves_out_nothing_that_came_before_it():
+    written = []
+
+    def take(most, write):
+        for _ in range(min(most, 2000)):
+            write(b"", 1, 1)
+        return min(most, 2000)
+
+    logger = Logger.__new__(Logger)
+    logger.snapshot, logger.paused, logger.publish_diagnostics = None, False, lambda: None
+    logger.writing = SimpleNamespace(write=lambda *message: written.append(message), check=lambda: None)
+    logger.recorded = {"/flood": Recorded(SimpleNamespace(take=take, latched=False), 1)}
+    assert logger.on_pause(Trigger.Request(), Trigger.Response()).message == "paused"
+    assert len(written) == 2000
+
+
 def test_a_snapshot_holds_what_was_before_the_request(graph):
     bag = graph.folder / "bag"
     know_services(graph, "snapshot")
@@ -199,6 +222,30 @@ def test_a_topic_with_two_types_is_a_fault_and_the_others_are_recorded_on(graph,
     assert (bag / "metadata.yaml").is_file()
 
 
+def test_a_topic_is_tried_again_when_its_publishers_change_and_complained_of_once(capfd):
+    there = {"/odd": ["std_msgs/msg/String", "std_msgs/msg/Bool"]}
+    tried = []
+
+    def record(name, publishers):
+        tried.append(len(publishers))
+        published_definition(name, publishers)
+
+    logger = Logger.__new__(Logger)
+    logger.writing, logger.matched, logger.publish_diagnostics = object(), 0, lambda: None
+    logger.recorded, logger.complaints, logger.refused = {}, {}, {}
+    logger.choice, logger.record = TopicChoice(frozenset(there)), record
+    logger.get_topic_names_and_types = there.items
+    logger.count_publishers = lambda name: len(there[name])
+    logger.get_publishers_info_by_topic = lambda name: [TopicEndpointInfo(topic_type=kind) for kind in there[name]]
+    for _ in range(5):
+        logger.look_for_topics()
+    assert tried == [2]
+    there["/odd"] = ["std_msgs/msg/String"]
+    logger.look_for_topics()
+    assert tried == [2, 1]
+    assert capfd.readouterr().err.count("/odd: has the types std_msgs/msg/Bool, std_msgs/msg/String") == 1
+
+
 def test_a_full_disk_ends_the_logger_and_leaves_what_was_recorded(graph):
     bag = graph.folder / "bag"
     graph.start("logger", output=str(bag), topics=["note"], compression="none")
@@ -218,6 +265,24 @@ def test_a_full_disk_ends_the_logger_and_leaves_what_was_recorded(graph):
     assert "Traceback" not in "\n".join(said)
     recorded = read_topics(bag)[f"{graph.namespace}/note"]
     assert 100 < len(recorded.log_time) < sent
+
+
+def test_a_logger_that_is_stopped_while_it_starts_leaves_no_bag_behind(graph):
+    bag = graph.folder / "bag"
+    code = """
+import os, signal, sys
+from abrace_plant.nodes.logger import Logger, main
+create_service = Logger.create_service
+def stop(self, kind, name, *arguments, **options):
+    if name == "~/start":
+        os.kill(os.getpid(), signal.SIGINT)
+    return create_service(self, kind, name, *arguments, **options)
+Logger.create_service = stop
+sys.exit(main())
+"""
+    command = [sys.executable, "-c", code, "--ros-args", "-p", f"output:={bag}"]
+    assert subprocess.run(command, timeout=60, check=False).returncode == 0
+    assert not bag.exists()
 
 
 @pytest.mark.usefixtures("domain")

@@ -9,7 +9,9 @@ import importlib
 from typing import TYPE_CHECKING
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.type_hash import TypeHash
 
+from abrace_core.bag.definitions import MessageDefinition, message_definition
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -37,23 +39,24 @@ class RawSubscription:
 
     Attributes
     ----------
-    type_name
+    definition
         Of its messages.
+    lost
+        Messages that did not come, as far as the publisher's own numbers tell: while there is one publisher alone.
 
     Raises
     ------
     AbraceError
-        If the publishers are of different types, or theirs is not installed.
+        If the publishers are of different types, or theirs is not the one that is installed.
     """
 
     def __init__(self, node: Node, topic: str, publishers: Sequence[TopicEndpointInfo]) -> None:
         self._node = node
         self._topic = topic
-        self.type_name = only_type(topic, publishers)
+        self.definition = published_definition(topic, publishers)
+        self.lost = 0
         self._subscription = self._subscribe(_offered_by_all(publishers))
-        self._most_publishers = len(publishers)
         self._last = 0
-        self._skipped = 0
 
     @property
     def latched(self) -> bool:
@@ -63,13 +66,10 @@ class RawSubscription:
     def count_publishers(self) -> int:
         """Publishers that it hears now."""
         count: int = self._subscription.get_publisher_count()
-        self._most_publishers = max(self._most_publishers, count)
+        if count != 1:
+            # each publisher has numbers of its own, and a message does not say whose its number is
+            self._last = 0
         return count
-
-    @property
-    def lost(self) -> int:
-        """Messages lost, where one publisher alone has numbered them; else 0."""
-        return self._skipped if self._most_publishers == 1 else 0
 
     def follow(self, publishers: Sequence[TopicEndpointInfo], write: Callable[[bytes, int, int], None]) -> int:
         """Subscribe anew where a publisher has come that offers less than the subscription asks for.
@@ -91,13 +91,17 @@ class RawSubscription:
         Raises
         ------
         AbraceError
-            If they are of different types.
+            If their type is not the one that is subscribed to.
         """
-        only_type(self._topic, publishers)
+        now = published_definition(self._topic, publishers).type_name
+        if now != self.definition.type_name:
+            raise AbraceError(
+                f"topic {self._topic}: is of type {now} now, expected {self.definition.type_name} as before"
+            )
         old = self._subscription
-        qos, before = _offered_by_all(publishers), old.qos_profile
-        less_reliable = before.reliability == ReliabilityPolicy.RELIABLE != qos.reliability
-        less_kept = before.durability == DurabilityPolicy.TRANSIENT_LOCAL != qos.durability
+        qos, asked = _offered_by_all(publishers), old.qos_profile
+        less_reliable = asked.reliability == ReliabilityPolicy.RELIABLE != qos.reliability
+        less_kept = asked.durability == DurabilityPolicy.TRANSIENT_LOCAL != qos.durability
         if not (less_reliable or less_kept):
             return 0
         new = self._subscribe(qos)
@@ -122,46 +126,59 @@ class RawSubscription:
             How many those were.
         """
         message_type, handle = self._subscription.msg_type, self._subscription.handle
+        last, skipped, number = self._last, 0, 0
         with handle:
-            for number in range(most):
-                taken = handle.take_message(message_type, True)
-                if taken is None:
-                    return number
+            while number < most and (taken := handle.take_message(message_type, True)) is not None:
                 payload, info = taken
                 write(payload, info["received_timestamp"], info["source_timestamp"])
                 published = info["publication_sequence_number"]
-                if self._last and published > self._last + 1:
-                    self._skipped += published - self._last - 1
-                self._last = published
-        return most
+                if last and published > last + 1:
+                    skipped += published - last - 1
+                last = published
+                number += 1
+        if number:
+            self._last = last
+            self.lost += skipped if self.count_publishers() <= 1 else 0
+        return number
 
     def close(self) -> None:
         """Hear no more."""
         self._node.destroy_subscription(self._subscription)
 
     def _subscribe(self, qos: QoSProfile) -> Subscription:
-        package, _, short_name = self.type_name.split("/")
+        package, _, short_name = self.definition.type_name.split("/")
         try:
             message_type = getattr(importlib.import_module(f"{package}.msg"), short_name)
         except (ImportError, AttributeError) as error:
             raise AbraceError(
-                f"topic {self._topic}: message type {self.type_name} is not installed for Python"
+                f"topic {self._topic}: message type {self.definition.type_name} is not installed for Python"
             ) from error
         return self._node.create_subscription(message_type, self._topic, _never_called, qos, raw=True)
 
 
-def only_type(topic: str, publishers: Sequence[TopicEndpointInfo]) -> str:
-    """The type that all `publishers` of a `topic` have.
+def published_definition(topic: str, publishers: Sequence[TopicEndpointInfo]) -> MessageDefinition:
+    """The definition of the messages that all `publishers` of a `topic` have.
 
     Raises
     ------
     AbraceError
-        If they have several.
+        If they have several types, or theirs is not the one that is installed.
     """
     types = {publisher.topic_type for publisher in publishers}
     if len(types) > 1:
         raise AbraceError(f"topic {topic}: has the types {', '.join(sorted(types))}, expected one")
-    return str(types.pop())
+    try:
+        definition = message_definition(types.pop())
+    except AbraceError as error:
+        raise AbraceError(f"topic {topic}: {error}") from error
+    # a publisher from before ROS 2 Iron tells no hash
+    hashes = {str(publisher.topic_type_hash) for publisher in publishers} - {str(TypeHash())}
+    if hashes - {definition.type_hash}:
+        raise AbraceError(
+            f"topic {topic}: {definition.type_name} is published as {', '.join(sorted(hashes))}, "
+            f"expected {definition.type_hash} as it is installed here"
+        )
+    return definition
 
 
 def _offered_by_all(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:

@@ -15,7 +15,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_srvs.srv import Trigger
 
-from abrace_core.bag import BagWriter, message_definition, offered_qos
+from abrace_core.bag import BagWriter, offered_qos
 from abrace_core.bag.attachments import file_attachments
 from abrace_core.bag.snapshot import Snapshot
 from abrace_core.bag.topic_choice import TopicChoice
@@ -23,7 +23,7 @@ from abrace_core.bag.versions import installed_versions
 from abrace_core.bag.writing_thread import WritingThread
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceNode, Parameter, RCLError, rcl_message, run
-from abrace_core.raw_subscription import DEPTH, RawSubscription, only_type
+from abrace_core.raw_subscription import DEPTH, RawSubscription
 
 PARAMETERS = [
     Parameter("output", "", "bag (a new directory) to write", required=True),
@@ -34,8 +34,8 @@ PARAMETERS = [
     Parameter("attachments", [], "files of the run that go into the bag: rig, model, controller, record", element=str),
     Parameter("compression", "zstd", "of each chunk", choices=("zstd", "lz4", "none")),
     Parameter("split_size", 0, "bytes after which the next file begins; 0: one file", minimum=0),
-    Parameter("split_duration", 0.0, "s after which the next file begins; 0: one file", minimum=0.0),
-    Parameter("snapshot", 0.0, "s to keep in memory, written on `~/snapshot` alone; 0: write all", minimum=0.0),
+    Parameter("split_duration", 0.0, "s after which the next file begins; 0: one file", minimum=0.0, maximum=1e9),
+    Parameter("snapshot", 0.0, "s to keep in memory, written on `~/snapshot` alone; 0: all", minimum=0.0, maximum=1e6),
     Parameter("autostart", True, "record at once; false: wait for `~/start`"),
     Parameter("flush_interval", 0.1, "s between flushes: what a killed logger may lose", minimum=0.01, maximum=10.0),
 ]
@@ -85,6 +85,8 @@ class Logger(AbraceNode):
         self.attachments = file_attachments([Path(path) for path in given.attachments])
         self.recorded: dict[str, Recorded] = {}
         self.complaints: dict[str, str] = {}
+        # of topics that can't be recorded, how many publishers and which types were there
+        self.refused: dict[str, tuple[int, list[str]]] = {}
         self.writing: WritingThread | None = None
         self.snapshot: Snapshot | None = None
         self.paused = False
@@ -97,12 +99,12 @@ class Logger(AbraceNode):
             enable_rosout=False,
             start_parameter_services=False,
         )
-        if given.autostart:
-            self.start()
         for name in ("start", "stop", "pause", "resume", "split", "snapshot"):
             self.create_service(Trigger, f"~/{name}", getattr(self, f"on_{name}"))
         self.create_timer(LOOK_FOR_TOPICS, self.look_for_topics, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.due = time.monotonic()
+        if given.autostart:
+            self.start()
 
     def start(self) -> Path:
         """Open the bag, or after a stop the next one."""
@@ -133,8 +135,7 @@ class Logger(AbraceNode):
         """Take what is still there and close the bag; returns what there is to say of it."""
         writing = self.open_bag()
         try:
-            for topic in self.recorded.values():
-                self.take(topic, DEPTH)
+            self.take_all()
             with writing.bag() as bag:
                 directory = bag.directory
                 for topic in self.recorded.values():
@@ -166,8 +167,9 @@ class Logger(AbraceNode):
         there = dict(self.get_topic_names_and_types())
         for name in sorted(self.choice.of(there)):
             topic = self.recorded.get(name)
-            known = topic is not None and topic.subscription.count_publishers() == self.count_publishers(name)
-            if name in self.complaints or (known and len(there[name]) == 1):
+            seen = (self.count_publishers(name), there[name])
+            known = topic is not None and topic.subscription.count_publishers() == seen[0]
+            if self.refused.get(name) == seen or (known and len(there[name]) == 1):
                 continue
             publishers = self.get_publishers_info_by_topic(name)
             if not publishers:
@@ -179,6 +181,7 @@ class Logger(AbraceNode):
                     taken = topic.subscription.follow(publishers, self.writer(topic))
                     topic.count += taken if self.wants(topic) else 0
             except AbraceError as error:
+                self.refused[name] = seen
                 self.complain(name, error)
         matched = sum(topic.subscription.count_publishers() for topic in self.recorded.values())
         if matched != self.matched:
@@ -187,15 +190,17 @@ class Logger(AbraceNode):
 
     def complain(self, name: str, error: AbraceError) -> None:
         """Tell of a topic that can't be recorded, at once and at the end; the others are recorded all the same."""
+        if self.complaints.get(name) == str(error):
+            return
         self.complaints[name] = str(error)
         print(f"logger: {error}", file=sys.stderr, flush=True)
         self.publish_diagnostics()
 
     def record(self, name: str, publishers: list[TopicEndpointInfo]) -> None:
         """Subscribe to a topic."""
-        definition = message_definition(only_type(name, publishers))
-        offered = [offered_qos(publisher.qos_profile) for publisher in publishers]
         subscription = RawSubscription(self.input, name, publishers)
+        definition = subscription.definition
+        offered = [offered_qos(publisher.qos_profile) for publisher in publishers]
         with self.open_bag().bag() as bag:
             topic_id = bag.add_topic(name, definition.type_name, definition.text, definition.type_hash, *offered)
         self.recorded[name] = Recorded(subscription, topic_id)
@@ -212,6 +217,11 @@ class Logger(AbraceNode):
                     self.due = time.monotonic()
         except AbraceError as error:
             self.finish(1, str(error))
+
+    def take_all(self) -> None:
+        """Take all that has come."""
+        for topic in self.recorded.values():
+            self.take(topic, DEPTH)
 
     def take(self, topic: Recorded, most: int) -> int:
         """Take a topic's messages that have come, `most` of them; returns how many those were."""
@@ -250,7 +260,7 @@ class Logger(AbraceNode):
 
         def step() -> str:
             self.open_bag()
-            self.tick()
+            self.take_all()
             self.paused = True
             return "paused"
 
@@ -262,7 +272,7 @@ class Logger(AbraceNode):
         def step() -> str:
             writing = self.open_bag()
             if self.paused:
-                self.tick()
+                self.take_all()
                 self.paused = False
                 with writing.bag() as bag:
                     bag.interrupt()
@@ -274,8 +284,9 @@ class Logger(AbraceNode):
         """Go on in the next file."""
 
         def step() -> str:
-            self.tick()
-            with self.open_bag().bag() as bag:
+            writing = self.open_bag()
+            self.take_all()
+            with writing.bag() as bag:
                 bag.split()
                 return f"recording {bag.file}"
 
@@ -287,8 +298,9 @@ class Logger(AbraceNode):
         def step() -> str:
             if self.snapshot is None:
                 raise AbraceError("parameter snapshot is 0: everything is written at once")
-            self.tick()
-            with self.open_bag().bag() as bag:
+            writing = self.open_bag()
+            self.take_all()
+            with writing.bag() as bag:
                 return f"wrote {self.snapshot.hand_to(bag)} messages to {bag.file}"
 
         return self.answer(response, step)
