@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import resource
 import struct
@@ -19,6 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 from abrace_core import wire
 from abrace_core.bag import BagWriter, read_facts, read_topics
 from abrace_core.bag.attachments import file_attachments
+from abrace_core.bag.mcap_writer import McapWriter
 from abrace_core.bag.snapshot import Snapshot
 from abrace_core.bag.topic_choice import TopicChoice
 from abrace_core.bag.versions import installed_versions
@@ -272,6 +274,37 @@ def test_whatever_goes_wrong_in_the_thread_is_told(tmp_path: Path, monkeypatch: 
     writing.write(topic, note(""), START, START)
     with pytest.raises(AbraceError, match=r"cannot write bag .*bag: MemoryError"):
         writing.close()
+
+
+def test_a_file_that_cannot_be_begun_does_not_cost_those_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def add_metadata(file: McapWriter, *record: Any) -> None:
+        if file.size < 100:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written(file, *record)
+
+    bag = BagWriter(tmp_path / "bag", {})
+    texts = write_notes(bag, 100)
+    written = McapWriter.add_metadata
+    monkeypatch.setattr(McapWriter, "add_metadata", add_metadata)
+    with pytest.raises(AbraceError, match=r"cannot write bag .*bag: No space left on device"):
+        bag.split()
+    assert bag.closed
+    assert [path.name for path in (tmp_path / "bag").iterdir()] == ["bag_0.mcap"]
+    assert notes_of(tmp_path / "bag") == texts
+
+
+def test_what_a_pause_leaves_out_of_a_snapshot_is_no_gap(tmp_path: Path) -> None:
+    snapshot = Snapshot(2.0)
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        topic = bag.add_topic("/response", NUMBERED, NUMBERED_TEXT, "RIHS01_0")
+        for sequence in (0, 1, 50, 52):
+            if sequence == 50:
+                snapshot.interrupt()
+            snapshot.write(topic, numbered(sequence), START, START)
+        assert snapshot.hand_to(bag) == 4
+        assert (bag.tallies()["/response"].gaps, bag.tallies()["/response"].missing) == (1, 1)
 
 
 def test_a_snapshot_stays_small_and_forgets_times_to_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 CAPACITY = 512 * 1024 * 1024
 """Bytes that are kept at most, however short the time."""
 
+_INTERRUPTION = 0
+"""Stands for the number of a topic, which are counted from 1."""
+
 
 class Snapshot:
     """What came in the last seconds.
@@ -47,6 +50,12 @@ class Snapshot:
         while messages and (abs(log_time_ns - messages[0][2]) > self._duration or self._size > CAPACITY):
             self._size -= len(messages.popleft()[1]) + OVERHEAD
 
+    def interrupt(self) -> None:
+        """What is left out from here to the next message of each topic is left out on purpose."""
+        if self._messages:
+            self._messages.append((_INTERRUPTION, b"", self._messages[-1][2], 0))
+            self._size += OVERHEAD
+
     def hand_to(self, bag: BagWriter) -> int:
         """Write what is kept to a bag, which keeps nothing here; returns how many messages that were.
 
@@ -56,9 +65,14 @@ class Snapshot:
             The bag, open.
         """
         bag.interrupt()
-        count = len(self._messages)
+        count = 0
         while self._messages:
-            bag.write(*self._messages.popleft())
+            message = self._messages.popleft()
+            if message[0] == _INTERRUPTION:
+                bag.interrupt()
+            else:
+                bag.write(*message)
+                count += 1
         self._size = 0
         bag.flush()
         return count

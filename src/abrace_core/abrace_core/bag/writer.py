@@ -291,18 +291,24 @@ class BagWriter:
         except OSError as error:
             raise self._failure(error) from error
         self._files.append(span)
-        with self._failing():
-            self._file.add_metadata(FACTS_RECORD, {**self._facts, CHECKSUM_KEY: facts_checksum(self._facts)})
-            for name, texts in self._records.items():
-                self._file.add_metadata(name, texts)
-            self._write_information()
-            for schema in self._schemas.values():
-                self._file.add_schema(schema)
-            for channel in self._channels.values():
-                self._file.add_channel(channel)
-            for attachment in attachments:
-                self._file.add_attachment(attachment)
-            self._file.flush()
+        try:
+            with self._failing():
+                self._file.add_metadata(FACTS_RECORD, {**self._facts, CHECKSUM_KEY: facts_checksum(self._facts)})
+                for name, texts in self._records.items():
+                    self._file.add_metadata(name, texts)
+                self._write_information()
+                for schema in self._schemas.values():
+                    self._file.add_schema(schema)
+                for channel in self._channels.values():
+                    self._file.add_channel(channel)
+                for attachment in attachments:
+                    self._file.add_attachment(attachment)
+                self._file.flush()
+        except AbraceError:
+            # no message is in it, and an empty file is none that readers know
+            with contextlib.suppress(OSError):
+                self.file.unlink()
+            raise
         self._head_size = self._file.size
 
     def _finish_file(self) -> None:

@@ -274,6 +274,8 @@ class Logger(AbraceNode):
             if self.paused:
                 self.take_all()
                 self.paused = False
+                if self.snapshot is not None:
+                    self.snapshot.interrupt()
                 with writing.bag() as bag:
                     bag.interrupt()
             return "recording"
