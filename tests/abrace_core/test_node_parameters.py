@@ -132,6 +132,14 @@ def test_one_value_where_a_list_is_meant_is_a_list_of_one(node):
     assert list(rig.get_parameter("band").value) == [10.0]
 
 
+def test_a_list_that_may_be_empty_can_be_given_so(node):
+    values = declare(node(topics=None, matrix=None), [*TABLE, Parameter("topics", ["response"], "to record")])
+    assert (values.topics, values.matrix) == ([], []), "`-p topics:=[]` comes without a type"
+    for name in ("band", "inputs"):
+        with pytest.raises(AbraceError, match=rf"^parameter {name}: .*expected a list"):
+            declare(node(**{name: None}), TABLE)
+
+
 def test_an_unknown_name_is_refused_with_those_that_there_are(node):
     with pytest.raises(AbraceError, match="parameter rat: unknown, rig has band, inputs, lockstep, matrix, rate, "):
         declare(node(rat=200.0), TABLE)

@@ -111,6 +111,10 @@ def expect_refusal(ended: subprocess.CompletedProcess, *expected: str) -> None:
         ("logger", [], ["parameter output", "not empty"]),
         ("logger", ["-p", "output:=/proc/none/bag"], ["/proc/none"]),
         ("logger", ["-p", "output:=b", "-p", "facts:=[no_equals]"], ["parameter facts", "key=value"]),
+        ("logger", ["-p", "output:=b", "-p", "facts:=[a=1, a=2]"], ["parameter facts", "each key once"]),
+        ("logger", ["-p", "output:=b", "-p", "attachments:=[none.yaml]"], ["attachment none.yaml"]),
+        ("logger", ["-p", "output:=b", "-p", "pattern:=("], ["pattern", "regular expression"]),
+        ("logger", ["-p", "output:=b", "-p", "split_duration:=1e300"], ["split_duration", "from 0.0 to"]),
     ],
 )
 def test_wrong_parameters_are_refused_in_one_line(tmp_path, monkeypatch, node, arguments, expected):

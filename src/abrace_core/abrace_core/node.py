@@ -81,6 +81,8 @@ _ARRAY_TYPES = {
     float: RosParameter.Type.DOUBLE_ARRAY,
     str: RosParameter.Type.STRING_ARRAY,
 }
+_EMPTY_LISTS = (RosParameter.Type.BYTE_ARRAY, RosParameter.Type.NOT_SET)
+"""What ROS takes an empty list for."""
 _EXAMPLES = {bool: "true", int: "3", float: "3.0", str: "text"}
 
 
@@ -123,6 +125,10 @@ class Parameter:
         if not isinstance(self.default, list):
             return type(self.default)
         return self.element or type(self.default[0])
+
+    @property
+    def _may_be_empty(self) -> bool:
+        return isinstance(self.default, list) and (self.default == [] or self._element is str)
 
     @property
     def ros_type(self) -> RosParameter.Type:
@@ -175,8 +181,9 @@ class Parameter:
         value, fits = given.value, given.type_ == self.ros_type
         if isinstance(self.default, list) and given.type_ == _TYPES[self._element]:
             value, fits = [value], True
-        empty_list = isinstance(self.default, list) and given.type_ == RosParameter.Type.BYTE_ARRAY and not value
-        if not (fits or empty_list) or not self.holds(value):
+        if self._may_be_empty and not value and given.type_ in _EMPTY_LISTS:
+            value, fits = [], True
+        if not fits or not self.holds(value):
             raise AbraceError(f"parameter {self.name}: {given.value!r}, expected {self.expected()}")
         return list(value) if isinstance(value, (list, tuple, array)) else value
 

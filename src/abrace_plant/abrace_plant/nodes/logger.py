@@ -76,7 +76,10 @@ class Logger(AbraceNode):
     def __init__(self) -> None:
         super().__init__("logger", PARAMETERS)
         given = self.parameters
-        self.facts = dict(_fact(text) for text in given.facts)
+        facts = [_fact(text) for text in given.facts]
+        self.facts = dict(facts)
+        if len(self.facts) < len(facts):
+            raise AbraceError(f"parameter facts: {given.facts}, expected each key once")
         try:
             self.given_names = {self.resolve_topic_name(topic): topic for topic in given.topics if topic}
         except RCLError as error:
