@@ -15,6 +15,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -274,14 +275,15 @@ def bare_subscription(namespace: str) -> None:
     executor.add_node(node)
     diagnostics = node.create_publisher(DiagnosticArray, "diagnostics", 10)
     told = time.monotonic()
-    with contextlib.suppress(KeyboardInterrupt):
-        while True:
-            executor.spin_once(timeout_sec=0.1)
-            if time.monotonic() > told + 0.5:
-                told = time.monotonic()
-                entry = KeyValue(key="publishers of response", value=str(subscription.get_publisher_count()))
-                diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(values=[entry])]))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    stopped = threading.Event()
+    # an exception could come between taking a message and counting it
+    signal.signal(signal.SIGINT, lambda *_: stopped.set())
+    while not stopped.is_set():
+        executor.spin_once(timeout_sec=0.1)
+        if time.monotonic() > told + 0.5:
+            told = time.monotonic()
+            entry = KeyValue(key="publishers of response", value=str(subscription.get_publisher_count()))
+            diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(values=[entry])]))
     waiting = -1
     while waiting != count:
         waiting = count
