@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import resource
 import struct
 import threading
@@ -152,6 +153,7 @@ def test_attached_files_come_back_whole_and_damage_to_them_is_seen(tmp_path: Pat
     rig, record = tmp_path / "rig.yaml", tmp_path / "record.at2"
     rig.write_bytes(b"storeys: 3\n")
     record.write_bytes(np.random.default_rng(1).bytes(300_000))
+    os.utime(record, (-1, -1))
     with BagWriter(tmp_path / "bag", {}, attachments=file_attachments([rig, record])) as bag:
         texts = write_notes(bag, 10)
     path = tmp_path / "bag/bag_0.mcap"

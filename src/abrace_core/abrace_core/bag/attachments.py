@@ -35,7 +35,8 @@ def file_attachments(paths: Sequence[Path]) -> list[Attachment]:
         if path.name in attachments:
             raise AbraceError(f"attachment {path}: another one is called {path.name}, expected different names")
         try:
-            content, changed = path.read_bytes(), path.stat().st_mtime_ns
+            # MCAP knows no time before 1970
+            content, changed = path.read_bytes(), max(path.stat().st_mtime_ns, 0)
         except OSError as error:
             raise AbraceError(f"attachment {path}: {error.strerror}") from error
         media_type = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
