@@ -297,6 +297,20 @@ def test_a_file_that_cannot_be_begun_does_not_cost_those_before_it(
     assert notes_of(tmp_path / "bag") == texts
 
 
+def test_a_file_is_seen_from_when_it_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def flush(file: McapWriter) -> None:
+        seen.append([len(read_topics(path)) for path in sorted((tmp_path / "bag").glob("*.mcap"))])
+        flushed(file)
+
+    seen: list[list[int]] = []
+    flushed = McapWriter.flush
+    monkeypatch.setattr(McapWriter, "flush", flush)
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        write_notes(bag, 10)
+        bag.split()
+    assert seen == [[], [0], [1], [1, 0], [1, 0]], "topics in each file"
+
+
 def test_what_a_pause_leaves_out_of_a_snapshot_is_no_gap(tmp_path: Path) -> None:
     snapshot = Snapshot(2.0)
     with BagWriter(tmp_path / "bag", {}) as bag:

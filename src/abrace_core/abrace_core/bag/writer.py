@@ -286,8 +286,10 @@ class BagWriter:
     def _open_file(self, attachments: Sequence[Attachment] = ()) -> None:
         """Begin the next file with what each file holds, the first one with what is attached."""
         span = FileSpan(f"{self.directory.name}_{len(self._files)}.mcap", counts=dict.fromkeys(self._topics, 0))
+        # without its head a file is none that readers know: it gets its name when it has one
+        beside = self.directory / f"{span.name}.part"
         try:
-            self._file = McapWriter(self.directory / span.name, *self._compressor)
+            self._file = McapWriter(beside, *self._compressor)
         except OSError as error:
             raise self._failure(error) from error
         self._files.append(span)
@@ -304,10 +306,10 @@ class BagWriter:
                 for attachment in attachments:
                     self._file.add_attachment(attachment)
                 self._file.flush()
+                beside.rename(self.file)
         except AbraceError:
-            # no message is in it, and an empty file is none that readers know
             with contextlib.suppress(OSError):
-                self.file.unlink()
+                beside.unlink()
             raise
         self._head_size = self._file.size
 
