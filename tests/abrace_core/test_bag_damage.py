@@ -220,6 +220,17 @@ def test_recovered_bag_is_whole_and_has_every_message_that_was_read(tmp_path: Pa
         assert connection.ext.offered_qos_profiles[0].depth == 77
 
 
+def test_a_cut_off_file_does_not_hang_on_its_first_chunk(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", 60, flush_every=10)
+    offsets = chunk_offsets(path)
+    content = bytearray(path.read_bytes()[: offsets[5] + 10])
+    content[offsets[0] + 60] ^= 0xFF
+    path.write_bytes(content)
+    found = read_topics(path)
+    assert found["/response"].fields["sequence"].tolist() == list(range(10, 50))
+    assert any("chunk" in warning for warning in found.warnings)
+
+
 def test_a_recovered_bag_keeps_files_records_and_losses(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text("storeys: 3\n")
     attached = file_attachments([tmp_path / "rig.yaml"])

@@ -37,6 +37,10 @@ if TYPE_CHECKING:
 
     from abrace_core.bag.rosbag2 import FileSpan
 
+CHUNKS_DESCRIBED = 100
+"""The second chunk, and each that comes so many later, tells again what the topics are: of a file that was cut off and
+whose first chunk is damaged, too, messages can be read."""
+
 
 class McapWriter:
     """An MCAP file that is being written; what goes wrong with the file comes out as an OSError.
@@ -213,6 +217,9 @@ class McapWriter:
         self._chunk = OpenChunk()
         self._append(records)
         self._chunks.append(index)
+        if len(self._chunks) % CHUNKS_DESCRIBED == 1:
+            for record in (*self._schemas, *self._channels):
+                self._chunk.describe(record)
 
     def _append_record(self, record: McapRecord) -> None:
         builder = RecordBuilder()
