@@ -10,15 +10,14 @@
 from __future__ import annotations
 
 import re
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.io
 
 from abrace_core.bag import TopicArrays, read_topics
 from abrace_core.bag.reader import read_selected
 from abrace_core.errors import AbraceError
+from abrace_plant.matlab_loader import load_matlab
 from abrace_plant.record_reading import Reading, checked_reading, record_error
 
 if TYPE_CHECKING:
@@ -48,12 +47,9 @@ def read_mat(name: str, path: Path, channel: str | None) -> Reading:
     if head.startswith(b"MATLAB 7.3") or _HDF5_MARK in (head[:8], head[512:]):
         raise record_error(name, "a MATLAB file of version 7.3 (HDF5), expected one saved with save -v7")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", UserWarning)  # "returned data may be corrupt"
-            variables = scipy.io.loadmat(path, appendmat=False, simplify_cells=True)
-    except Exception as error:  # scipy raises nearly anything on a file that is damaged or none of MATLAB's
-        why = " ".join(str(error).split())[:80] or type(error).__name__
-        raise record_error(name, f"not read as a MATLAB file of version 4 to 7.2 ({why})") from error
+        variables = load_matlab(path)
+    except ValueError as error:
+        raise record_error(name, f"not read as a MATLAB file of version 4 to 7.2 ({error})") from error
     arrays = _arrays({key: value for key, value in variables.items() if not key.startswith("__")}, "")
     series = [key for key, values in arrays.items() if _is_series(values)]
     listed = ", ".join(f"{key} ({' x '.join(map(str, values.shape))})" for key, values in arrays.items()) or "none"

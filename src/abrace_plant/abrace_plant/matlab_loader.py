@@ -1,0 +1,54 @@
+"""Loads a MATLAB file in a process of its own, for SciPy's reader takes the whole process down with some damaged files.
+
+Run as a program with a path it writes the variables, pickled, to standard output, or one line of what is wrong to
+standard error.
+"""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+import warnings
+from typing import TYPE_CHECKING, Any
+
+from scipy.io import loadmat
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_LONGEST_REASON = 80
+
+
+def load_matlab(path: Path) -> dict[str, Any]:
+    """The variables of a MATLAB file of version 4 to 7.2 at `path`, structs as dicts.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or damaged: why.
+    """
+    # -P: the folder of this module is not among those where SciPy's imports are looked for
+    ran = subprocess.run([sys.executable, "-P", __file__, str(path)], capture_output=True, check=False)
+    if ran.returncode < 0:
+        raise ValueError("damaged")
+    if ran.returncode > 0:
+        raise ValueError(" ".join(ran.stderr.decode(errors="replace").split())[:_LONGEST_REASON])
+    variables: dict[str, Any] = pickle.loads(ran.stdout)
+    return variables
+
+
+def _main() -> int:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UserWarning)  # "returned data may be corrupt"
+            variables = loadmat(sys.argv[1], appendmat=False, simplify_cells=True)
+    except Exception as error:  # scipy raises nearly anything on a file that is damaged or none of MATLAB's
+        print(str(error) or type(error).__name__, file=sys.stderr)
+        return 1
+    sys.stdout.buffer.write(pickle.dumps(variables))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main())
