@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import os
 import random
-import re
 import signal
 import struct
 import subprocess
@@ -24,6 +23,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import AccelStamped
+from isolation import own_shared_memory
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
@@ -157,13 +157,6 @@ def cpu_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def shared_memory(process: subprocess.Popen[bytes]) -> set[Path]:
-    """What the middleware of a process that is killed leaves in shared memory."""
-    maps = Path(f"/proc/{process.pid}/maps").read_text()
-    segments = re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", maps)
-    return {Path(segment + ending) for segment in segments for ending in ("", "_el")}
-
-
 def recorded(bag: Path, namespace: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """(numbers, times of arrival [ns]) of each topic in a bag."""
     found = read_topics(bag)
@@ -190,12 +183,12 @@ def kills(count: int, seed: int = 1, shown: Step | None = None) -> dict[str, Any
             with running(logger_command(rig.namespace, bag, list(NUMBERED)), folder / "log") as process:
                 rig.wait_for_match(list(NUMBERED))
                 rig.publish(RATE, moments.uniform(0.3, 2.0), list(NUMBERED))
-                segments = shared_memory(process)
+                left = own_shared_memory(process.pid)
                 killed = time.time_ns()
                 process.kill()
                 process.wait()
-            for segment in segments:
-                segment.unlink(missing_ok=True)
+            for file in left:
+                file.unlink(missing_ok=True)
             try:
                 found = recorded(bag, rig.namespace)
             except AbraceError as error:

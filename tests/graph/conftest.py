@@ -9,10 +9,8 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
-import re
 import signal
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import domain_coordinator
@@ -20,6 +18,7 @@ import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from isolation import own_shared_memory
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.executors import SingleThreadedExecutor
@@ -34,6 +33,7 @@ from abrace_interfaces.msg import BraceCommand, Response
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
 
     from rclpy.client import Client
     from rclpy.node import Node
@@ -57,8 +57,6 @@ TRANSITIONS = {
 }
 STREAM = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-LEFT_BY_THE_KILLED: set[str] = set()
-"""Segments of shared memory."""
 
 
 class Graph:
@@ -146,12 +144,13 @@ class Graph:
         return process.returncode
 
     def kill(self, name: str) -> None:
-        """End a node with SIGKILL; what it leaves in shared memory is removed when all is over."""
+        """End a node with SIGKILL; what it leaves in shared memory is removed."""
         process = self.started[name]
-        maps = Path(f"/proc/{process.group}/maps").read_text()
+        left = own_shared_memory(process.group)
         os.kill(process.group, signal.SIGKILL)
         assert self.ended(name) == -signal.SIGKILL
-        LEFT_BY_THE_KILLED.update(re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", maps))
+        for file in left:
+            file.unlink(missing_ok=True)
 
     def said(self, name: str) -> list[str]:
         """The lines that a node has printed."""
@@ -297,9 +296,6 @@ def context(domain: int) -> Iterator[rclpy.Context]:
     rclpy.signals.install_signal_handlers(SignalHandlerOptions.NO)
     yield context
     context.try_shutdown()
-    for segment in LEFT_BY_THE_KILLED:
-        for file in (Path(segment), Path(segment + "_el")):
-            file.unlink(missing_ok=True)
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """How nodes end, and what they refuse: signals, a killed logger, wrong parameters and files."""
 
 import os
+import pty
 import signal
 import subprocess
 import time
@@ -19,7 +20,7 @@ NOISE = {"duration": 60.0}
 pytestmark = pytest.mark.usefixtures("domain")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_every_node_cleanly_and_the_bag_is_closed(graph, number):
     bag = graph.folder / "bag"
     graph.start("logger", output=str(bag))
@@ -35,6 +36,20 @@ def test_a_signal_ends_every_node_cleanly_and_the_bag_is_closed(graph, number):
         assert "Traceback" not in "\n".join(graph.said(name))
     assert (bag / "metadata.yaml").is_file()
     assert len(read_run(bag).outputs) > 100
+
+
+def test_a_terminal_that_is_lost_ends_the_logger_with_a_whole_bag(graph):
+    bag = graph.folder / "bag"
+    command = ["abrace_plant", "logger", "--ros-args", "-r", f"__ns:={graph.namespace}", "-p", f"output:={bag}"]
+    child, terminal = pty.fork()
+    if child == 0:
+        os.execvp("abrace", ["abrace", "run", *command])
+    graph.until(lambda: "logger" in graph.statuses, "diagnostics")
+    os.close(terminal)
+    looks = []
+    graph.until(lambda: looks.append(os.waitpid(child, os.WNOHANG)) or looks[-1][0], "its end")
+    assert os.waitstatus_to_exitcode(looks[-1][1]) == 0
+    assert (bag / "metadata.yaml").is_file()
 
 
 def test_a_signal_ends_a_node_that_waits_for_its_life_cycle(graph):

@@ -12,6 +12,7 @@ line says what, where, and what was expected).
 from __future__ import annotations
 
 import gc
+import os
 import re
 import signal
 import sys
@@ -490,16 +491,29 @@ class _Stop(BaseException):
     """Someone asked the process to end."""
 
 
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""SIGHUP: the terminal is gone, as when a connection to the rig's computer breaks."""
+
+
 class _Signals:
-    """SIGINT and SIGTERM end the node: between callbacks while it spins, at once before that."""
+    """A signal of `_ENDING` ends the node: between callbacks while it spins, at once before that.
+
+    A SIGHUP that was ignored when the process started, as by `nohup`, stays ignored.
+    """
 
     def __init__(self) -> None:
         self.spinning = False
         self.stopped = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._received)
+        self._terminals = [number for number in (1, 2) if os.isatty(number)]
+        for number in _ENDING:
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._received)
 
     def _received(self, number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGHUP:
+            for terminal in self._terminals:
+                # what is still said at the end would fail there, and the end with it
+                os.dup2(os.open(os.devnull, os.O_WRONLY), terminal)
         self.stopped = True
         if not self.spinning:
             raise _Stop
@@ -591,7 +605,7 @@ def run(create: Callable[[], Any], arguments: Sequence[str] | None = None) -> in
     except _Stop:
         exit_code = 0
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in _ENDING:
             signal.signal(number, signal.SIG_IGN)
         closing_code = _close(node, program)
     return exit_code or closing_code
