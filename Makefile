@@ -39,9 +39,11 @@ lint: setup  ## ruff and mypy
 	ruff format --check .
 	mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) benchmarks
 
-test: lint  ## lint and all tests
+test: lint  ## lint and all tests: those of the libraries on all cores, then those of the graph one by one
 	@$(ENVIRONMENT)
-	python -m pytest
+	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+	python -m pytest --numprocesses auto --dist loadscope --ignore tests/graph
+	python -m pytest tests/graph
 
 verify: setup  ## accuracy claims, measured: results/verify.json
 	@$(ENVIRONMENT)
