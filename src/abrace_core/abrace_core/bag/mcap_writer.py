@@ -100,19 +100,7 @@ class McapWriter:
         self._chunk.describe(channel)
 
     def add_message(self, channel: int, count: int, payload: bytes, log_time: int, publish_time: int) -> None:
-        """Add a message; a full chunk goes to the file.
-
-        Parameters
-        ----------
-        channel
-            Its topic's number.
-        count
-            Its number among those of its topic.
-        payload
-            As it came from the wire.
-        log_time, publish_time
-            When it arrived and when it was published [ns].
-        """
+        """Add a message, as in `OpenChunk.add`; a full chunk goes to the file."""
         self._chunk.add(channel, count, payload, log_time, publish_time)
         if self._chunk.size > CHUNK_SIZE:
             self._end_chunk()

@@ -32,17 +32,7 @@ class Snapshot:
         self._size = 0
 
     def write(self, topic_id: int, payload: bytes, log_time_ns: int, publish_time_ns: int) -> None:
-        """Keep a message, and drop those that are too old: `BagWriter.write` for later.
-
-        Parameters
-        ----------
-        topic_id
-            From `BagWriter.add_topic`.
-        payload
-            The serialised message.
-        log_time_ns, publish_time_ns
-            When it arrived and when it was published [ns].
-        """
+        """Keep a message, as in `BagWriter.write` but for later, and drop those that are too old."""
         messages = self._messages
         messages.append((topic_id, payload, log_time_ns, publish_time_ns))
         self._size += len(payload) + OVERHEAD

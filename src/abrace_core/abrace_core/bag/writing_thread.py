@@ -62,17 +62,7 @@ class WritingThread:
         self._thread.start()
 
     def write(self, topic_id: int, payload: bytes, log_time_ns: int, publish_time_ns: int) -> None:
-        """Give a message to write, or count it where too many wait.
-
-        Parameters
-        ----------
-        topic_id
-            From `BagWriter.add_topic`.
-        payload
-            The serialised message.
-        log_time_ns, publish_time_ns
-            When it arrived and when it was published [ns].
-        """
+        """Give a message to write, as in `BagWriter.write`, or count it where too many wait."""
         size = len(payload) + OVERHEAD
         waiting = self._given - self._written + size
         if waiting > self._capacity:
