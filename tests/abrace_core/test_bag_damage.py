@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from typing import TYPE_CHECKING, Any
 
 import bag_damage
@@ -255,6 +256,20 @@ def without_messages(folder: Path) -> Sequence[Path]:
     (folder / "other.mcap").write_bytes(b"SQLite format 3\0")
     write_bag(folder / "empty", 0)
     return path, folder / "other.mcap", folder / "empty"
+
+
+def test_a_recovery_that_fails_midway_leaves_nothing(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", 60)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, before[1]))
+    try:
+        with pytest.raises(AbraceError, match=rf"cannot write bag {tmp_path}/whole: File too large"):
+            recover(tmp_path / "bag", tmp_path / "whole")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+    with pytest.raises(AbraceError, match="exists already"):
+        recover(tmp_path / "bag", tmp_path / "bag")
 
 
 def test_nothing_to_recover_is_an_error_and_writes_nothing(tmp_path: Path) -> None:

@@ -103,7 +103,7 @@ LIBRARIES = [
     path
     for package in ("abrace_core", "abrace_plant", "abrace_sysid", "abrace_lqg")
     for path in sorted((ROOT / "src" / package / package).glob("*.py"))
-    if path.name not in ("node.py", "brace_commander.py", "raw_subscription.py")
+    if path.name not in ("node.py", "brace_commander.py")
 ]
 
 

@@ -22,9 +22,9 @@ from std_srvs.srv import Trigger
 
 from abrace_core.bag import read_facts, read_topics
 from abrace_core.bag.topic_choice import TopicChoice
-from abrace_core.raw_subscription import published_definition
 from abrace_interfaces.msg import BraceCommand
 from abrace_plant.nodes.logger import Logger, Recorded
+from abrace_plant.nodes.raw_subscription import published_definition
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)

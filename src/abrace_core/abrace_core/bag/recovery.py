@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import yaml
@@ -17,7 +20,7 @@ from abrace_core.bag.writer import WRITTEN_RECORDS, BagWriter
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Iterator
 
     from abrace_core.bag.mcap_file import McapFile
     from abrace_core.bag.stream import Channel, Stream
@@ -72,7 +75,7 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
     attachments = [attachment for file in files for attachment in file.attachments]
     counts: dict[str, int] = {}
     topics: dict[str, int] = {}
-    with BagWriter(output, facts, records=records, attachments=attachments) as writer:
+    with _new_bag(Path(output)) as beside, BagWriter(beside, facts, records=records, attachments=attachments) as writer:
         for file, numbers in zip(files, usable, strict=True):
             messages = []
             for number in numbers:
@@ -90,6 +93,24 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
     if opened.uncounted:
         warnings += [f"{bag}: {missing_messages(topic, found)}" for topic, found in read_topics(output).items()]
     return Recovered(counts, tuple(warnings))
+
+
+@contextlib.contextmanager
+def _new_bag(output: Path) -> Iterator[Path]:
+    """Where to write a bag that becomes `output` when it is whole, and leaves nothing if it does not."""
+    if output.exists():
+        raise AbraceError(f"bag {output} exists already, expected a new directory")
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{output.name}.", dir=output.parent) as folder:
+            beside = Path(folder) / output.name
+            try:
+                yield beside
+            except AbraceError as error:
+                raise AbraceError(str(error).replace(str(beside), str(output))) from error
+            beside.rename(output)
+    except OSError as error:
+        raise AbraceError(f"cannot write bag {output}: {error.strerror}") from error
 
 
 def _streams(file: McapFile, numbers: list[int]) -> list[Stream]:

@@ -23,7 +23,7 @@ from abrace_core.bag.versions import installed_versions
 from abrace_core.bag.writing_thread import WritingThread
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceNode, Parameter, RCLError, rcl_message, run
-from abrace_core.raw_subscription import DEPTH, RawSubscription
+from abrace_plant.nodes.raw_subscription import DEPTH, RawSubscription
 
 PARAMETERS = [
     Parameter("output", "", "bag (a new directory) to write", required=True),

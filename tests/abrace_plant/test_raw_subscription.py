@@ -13,7 +13,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.type_hash import TypeHash
 
 from abrace_core.errors import AbraceError
-from abrace_core.raw_subscription import RawSubscription
+from abrace_plant.nodes.raw_subscription import RawSubscription
 
 UNKNOWN_HASH = TypeHash()
 
