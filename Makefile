@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .PHONY: help setup demo test lint verify bench soak clean
 
 ENVIRONMENT := source ros2_ws/setup.bash
-PACKAGES := abrace_core abrace_plant abrace_sysid abrace_lqg abrace_bringup
+PACKAGES := abrace_core abrace_bags abrace_plant abrace_sysid abrace_lqg abrace abrace_bringup
 # what a build copies or generates; Python modules are linked, edits to them need no build
 BUILT_FROM := $(shell find src -name package.xml -o -name 'setup.*' -o -name CMakeLists.txt -o -name '*.msg' \
   -o -name '*.action' -o -path '*/config/*.yaml' -o -path '*/launch/*.py' -o -path '*/campaigns/*.yaml' -o -path '*/scripts/abrace')
@@ -47,15 +47,15 @@ test: lint  ## lint and all tests: those of the libraries on all cores, then tho
 
 verify: setup  ## accuracy claims, measured: results/verify.json
 	@$(ENVIRONMENT)
-	python benchmarks/verify.py $(if $(RECORD),--record $(RECORD))
+	PYTHONPATH=tests/support python benchmarks/verify.py $(if $(RECORD),--record $(RECORD))
 
 bench: setup  ## speed claims beside their peers: results/bench.json
 	@$(ENVIRONMENT)
-	python benchmarks/bench.py
+	PYTHONPATH=tests/support python benchmarks/bench.py
 
 soak: setup  ## long runs of the logger, 12 minutes: results/soak.json
 	@$(ENVIRONMENT)
-	python benchmarks/soak.py
+	PYTHONPATH=tests/support python benchmarks/soak.py
 
 clean:  ## remove what was built and made (not bags)
 	@rm -rf .venv ros2_ws/build ros2_ws/install ros2_ws/log results

@@ -26,13 +26,13 @@ from claims import Claim
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from abrace_core.bag import read_topics
+from abrace_bags import read_topics
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from abrace_core.bag import TopicArrays
+    from abrace_bags import TopicArrays
     from abrace_core.progress import Step
 
 SEED = 6

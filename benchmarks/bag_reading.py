@@ -43,7 +43,7 @@ def bag_reading() -> dict[str, Any]:
 
 def measure(messages: int = MESSAGES, peer_messages: int = PEER_MESSAGES) -> dict[str, Any]:
     """Seconds of each, for bags of `messages` responses of the paper's rig, and how many times faster ours is."""
-    from abrace_core.bag import read_topics
+    from abrace_bags import read_topics
 
     with tempfile.TemporaryDirectory() as folder:
         bag, peer_bag = Path(folder) / "bag", Path(folder) / "peer"

@@ -32,14 +32,14 @@ from isolation import isolated
 from rosbags.highlevel import AnyReader
 from simulation import simulation_speed
 
-from abrace_bringup.campaign import run_campaign
-from abrace_bringup.table import Table
-from abrace_core.bag import read_run
+from abrace.campaign import run_campaign
+from abrace.table import Table
+from abrace_bags import read_run
 from abrace_core.controller_file import save_controller
 from abrace_core.files import write_text
 from abrace_core.node import find_file
-from abrace_plant.rig_file import load_rig
-from abrace_plant.rig_loop import RigLoop
+from abrace_plant.live.loop import RigLoop
+from abrace_plant.rig.file import load_rig
 
 HERE = Path(__file__).parent.resolve()
 ECHO_COUNT = 20_000

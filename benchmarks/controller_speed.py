@@ -25,22 +25,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from abrace_core.command_guard import CommandGuard
 from abrace_core.controller_file import Controller, save_controller
 from abrace_core.linear_model import LinearModel
-from abrace_core.sample_watch import SampleWatch
+from abrace_core.safety.command_guard import CommandGuard
+from abrace_core.safety.sample_watch import SampleWatch
 from abrace_core.signals import command_names, response_names
 from abrace_core.wire import BraceCommands, Responses
 from abrace_lqg.active_controller import ActiveController
 from abrace_lqg.design import balanced, delayed, design, kalman, regulator
 from abrace_lqg.weights import Weights, load_weights
-from abrace_plant.rig_file import load_rig
-from abrace_sysid.reduction import balanced_truncation, typical_scales
+from abrace_plant.rig.file import load_rig
+from abrace_sysid.models.reduction import balanced_truncation, typical_scales
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from abrace_plant.rig import Rig
+    from abrace_plant.rig.model import Rig
 
 HERE = Path(__file__).parent.resolve()
 SOURCE = HERE.parent / "src"
@@ -104,7 +104,7 @@ def step_us(controller: Controller) -> float:
 
 def loop_latency(controller: Controller) -> dict[str, float]:
     """Sample to command over DDS, our node's and the echo's."""
-    from abrace_bringup.processes import find_executable
+    from abrace.processes import find_executable
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "lqg3.yaml"

@@ -38,11 +38,11 @@ def exploration_speed() -> dict[str, Any]:
 
 def measure() -> dict[str, Any]:
     """Seconds; for bench.json."""
-    from abrace_lqg.ensemble import noise_motion
-    from abrace_lqg.exploration import Study, evaluate, explore, weight_sets
-    from abrace_lqg.exploration_cluster import cluster
+    from abrace_lqg.exploration.cluster import cluster
+    from abrace_lqg.exploration.ensemble import noise_motion
+    from abrace_lqg.exploration.search import Study, evaluate, explore, weight_sets
     from abrace_lqg.weights import load_weights
-    from abrace_plant.rig_file import load_rig
+    from abrace_plant.rig.file import load_rig
     from abrace_sysid.identification import identify
 
     rig = load_rig(SOURCE / "abrace_plant/config/ncree_three_storey.yaml")

@@ -25,21 +25,21 @@ from abrace_core.node import find_file
 from abrace_core.progress import Progress
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
-from abrace_plant import published
-from abrace_plant.ground_motion import Treatment, prepare
-from abrace_plant.intensity import STANDARD_GRAVITY
-from abrace_plant.record_files import read_record
-from abrace_plant.rig_file import load_rig
+from abrace_plant.records.files import read_record
+from abrace_plant.records.intensity import STANDARD_GRAVITY
+from abrace_plant.records.treatment import Treatment, prepare
+from abrace_plant.rig import published
+from abrace_plant.rig.file import load_rig
+from abrace_sysid.fitting.pole_fits import fit_poles_of
 from abrace_sysid.identification import Identification, IdentificationOptions, identify
-from abrace_sysid.pole_fits import fit_poles_of
 from abrace_sysid.validation import compare
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from abrace_core.run import Run
-    from abrace_plant.rig import Rig
-    from abrace_sysid.pole_estimate import PoleInterval
+    from abrace_plant.rig.model import Rig
+    from abrace_sysid.fitting.pole_estimate import PoleInterval
 
     Pairs = Sequence[tuple[float, float]]
     """Frequency [rad/s] and damping ratio of pole pairs."""

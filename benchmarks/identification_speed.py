@@ -44,11 +44,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from abrace_bringup.table import Table
+    from abrace.table import Table
     from abrace_core.run import Run
-    from abrace_plant.rig import Rig
-    from abrace_sysid.frequency_response import FrequencyResponse
+    from abrace_plant.rig.model import Rig
     from abrace_sysid.identification import Identification
+    from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 SECONDS = 600
 SILENT_SECONDS = 4
@@ -85,7 +85,7 @@ def best_of(repeats: int, run: Callable[[], object], warm: bool = True) -> float
 
 def write_bag(bag: Path, run: Run, rig: str) -> None:
     """The test as the logger would have written it."""
-    from abrace_core.bag import BagWriter, message_definition
+    from abrace_bags import BagWriter, message_definition
     from abrace_core.wire import Responses
 
     floors, groups = run.floors, run.groups
@@ -131,7 +131,7 @@ def read_with_mcap_ros2(bag: Path) -> int:
 
 def reading(bag: Path, samples: int) -> dict[str, Any]:
     """Seconds of `read_run` and of its peers; of a peer that is not installed, None."""
-    from abrace_core.bag import read_run
+    from abrace_bags import read_run
 
     def counted(read: Callable[[Path], int]) -> None:
         count = read(bag)
@@ -182,9 +182,9 @@ def fit_with_scikit_rf(plain: FrequencyResponse, order: int) -> tuple[NDArray[np
 
 def vector_fits(identified: Identification, rig: Rig) -> dict[str, Any]:
     """Seconds of the fits of both tests and the worst errors of each; the ratio is that of the two vector fits."""
+    from abrace_sysid.fitting.pole_fits import fit_poles_of
+    from abrace_sysid.fitting.vector_fitting import vector_fitting
     from abrace_sysid.identification import IdentificationOptions
-    from abrace_sysid.pole_fits import fit_poles_of
-    from abrace_sysid.vector_fitting import vector_fitting
 
     table, command = identified.table_response, identified.command_response
     cases = (
@@ -225,11 +225,11 @@ def vector_fits(identified: Identification, rig: Rig) -> dict[str, Any]:
 
 def cost(laboratory: Laboratory, start: NDArray[np.complex128]) -> dict[str, list[dict[str, Any]]]:
     """Seconds of the likelihood's fit of the command test for records of several lengths, and for several channels."""
+    from abrace_sysid.fitting.maximum_likelihood import fit_poles
+    from abrace_sysid.fitting.observation import of_spectra
     from abrace_sysid.identification import IdentificationOptions
-    from abrace_sysid.maximum_likelihood import fit_poles
-    from abrace_sysid.observation import of_spectra
     from abrace_sysid.recordings import prepare
-    from abrace_sysid.spectra import of_run
+    from abrace_sysid.spectra.fourier import of_run
 
     def row(run: Run, channels: int) -> dict[str, Any]:
         (name,) = run.command_names
@@ -257,7 +257,7 @@ def cost(laboratory: Laboratory, start: NDArray[np.complex128]) -> dict[str, lis
 
 def cost_table(found: dict[str, Any]) -> Table:
     """The fit's cost against lines and channels, for people; `found` is `bench.json`'s."""
-    from abrace_bringup.table import Table
+    from abrace.table import Table
 
     rows = [
         (
@@ -277,10 +277,10 @@ def cost_table(found: dict[str, Any]) -> Table:
 
 def measure() -> dict[str, Any]:
     """Seconds, ratios and errors; for bench.json."""
-    from abrace_core.bag import read_run
-    from abrace_plant.rig_file import load_rig
+    from abrace_bags import read_run
+    from abrace_plant.rig.file import load_rig
+    from abrace_sysid.fitting.vector_fitting import starting_poles
     from abrace_sysid.identification import identify
-    from abrace_sysid.vector_fitting import starting_poles
 
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     rig = load_rig(SOURCE / "abrace_plant/config/ncree_three_storey.yaml")

@@ -28,8 +28,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 
+from abrace_bags import read_topics
 from abrace_core import wire
-from abrace_core.bag import read_topics
 from abrace_core.errors import AbraceError
 from abrace_core.node import KEPT_STREAM_QOS
 from abrace_interfaces.msg import BraceCommand, Response
@@ -44,7 +44,7 @@ PATIENCE = 30.0
 NUMBERED = {"response": "sequence", "brace_command": "sequence", "ground_motion": "accel.linear.x"}
 """Topics, and the field that counts their messages."""
 FLOOD_GROWTH = 1.25
-LOGGER = [sys.executable, "-m", "abrace_plant.nodes.logger"]
+LOGGER = [sys.executable, "-m", "abrace_bags.nodes.logger"]
 LOAD = [sys.executable, "-c", "while True: pass"]
 BARE = [sys.executable, str(Path(__file__).resolve())]
 

@@ -1,6 +1,6 @@
 """The five controllers as they run: designed on the identified model, recorded on the lockstep graph, simulated beside.
 
-The campaign is `five_controllers.yaml` of abrace_bringup: tests, model, LQG1 to LQG5, each under El Centro at 0.1 g and
+The campaign is `five_controllers.yaml`: tests, model, LQG1 to LQG5, each under El Centro at 0.1 g and
 under noise of another seed; a record that is given, such as Kobe, is added. Everything is read from what the campaign
 wrote: nothing here designs or simulates a second time.
 """
@@ -17,16 +17,16 @@ from claims import Claim
 from isolation import isolated
 from papers_simulation import papers_simulation
 
-from abrace_bringup.campaign import run_campaign
-from abrace_bringup.report import make_report, worst_peak_rms_error
-from abrace_bringup.results import read_results
-from abrace_bringup.table import Table
+from abrace.campaign import run_campaign
+from abrace.report import make_report, worst_peak_rms_error
+from abrace.results import read_results
+from abrace.table import Table
 from abrace_core.controller_file import load_controller
 from abrace_core.node import find_file
 from abrace_core.response import TABLE_1_EXPERIMENT
 
 if TYPE_CHECKING:
-    from abrace_bringup.results import Comparison, Results
+    from abrace.results import Comparison, Results
 
 CONTROLLERS = ("lqg1", "lqg2", "lqg3", "lqg4", "lqg5")
 MOTIONS = ("el_centro", "noise", "record")
@@ -84,7 +84,7 @@ def _table(controllers: dict[str, Any]) -> Table:
 
 def campaign_text(record: Path | None) -> str:
     """The campaign's YAML, with the tests of another record at 0.1 g added."""
-    text = find_file("five_controllers", "abrace_bringup", "campaigns", ".yaml", "campaign").read_text(encoding="utf-8")
+    text = find_file("five_controllers", "abrace", "campaigns", ".yaml", "campaign").read_text(encoding="utf-8")
     if record is None:
         return text
     motion = f"ground_motion: {{record: {json.dumps(str(record.resolve()))}, peak_acceleration: 0.980665}}"

@@ -21,7 +21,7 @@ from laboratory import Laboratory
 from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 
-from abrace_bringup.table import Table
+from abrace.table import Table
 from abrace_core import signals
 from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, save_figure
 from abrace_core.linear_model import LinearModel, pole_table
@@ -38,23 +38,23 @@ from abrace_core.simulation import discretize, simulate, simulate_closed_loop
 from abrace_lqg.design import design
 from abrace_lqg.loop import closed_loop
 from abrace_lqg.weights import Weights, load_weights
-from abrace_plant import published
-from abrace_plant.building import Building
-from abrace_plant.ground_motion import Treatment, prepare
-from abrace_plant.intensity import STANDARD_GRAVITY
-from abrace_plant.record_files import read_record
-from abrace_plant.rig_file import load_rig
-from abrace_sysid.frequency_response import Choice, FrequencyResponse
+from abrace_plant.records.files import read_record
+from abrace_plant.records.intensity import STANDARD_GRAVITY
+from abrace_plant.records.treatment import Treatment, prepare
+from abrace_plant.rig import published
+from abrace_plant.rig.building import Building
+from abrace_plant.rig.file import load_rig
 from abrace_sysid.identification import IdentificationOptions, identify
-from abrace_sysid.realization import HOLDS, realize, superpose
+from abrace_sysid.models.realization import HOLDS, realize, superpose
+from abrace_sysid.spectra.frequency_response import Choice, FrequencyResponse
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from abrace_plant.rig import Rig
-    from abrace_sysid.frequency_response import Method
+    from abrace_plant.rig.model import Rig
+    from abrace_sysid.spectra.frequency_response import Method
 
 Pairs = tuple[tuple[float, float], ...]
 """Frequency [rad/s] and damping ratio of the building's modes."""

@@ -48,8 +48,8 @@ def rig_and_law() -> tuple[LinearModel, LinearModel, NDArray[np.float64]]:
     """The rig's discrete model, LQG3 designed from eight states of it and the command's delay, and the capacities."""
     from abrace_lqg.design import design
     from abrace_lqg.weights import load_weights
-    from abrace_plant.rig_file import load_rig
-    from abrace_sysid.reduction import balanced_truncation, typical_scales
+    from abrace_plant.rig.file import load_rig
+    from abrace_sysid.models.reduction import balanced_truncation, typical_scales
 
     rig = load_rig(SOURCE / "abrace_plant/config/ncree_three_storey.yaml")
     weights = load_weights(SOURCE / "abrace_lqg/config/lqg3.yaml")
@@ -62,7 +62,7 @@ def el_centro(sample_period: float) -> NDArray[np.float64]:
     """(SAMPLES,) El Centro over and over, with a peak of 1."""
     import numpy as np
 
-    from abrace_plant.record_files import read_record
+    from abrace_plant.records.files import read_record
 
     record = read_record("el_centro")
     times = np.arange(int((len(record.acceleration) - 1) * record.sample_period / sample_period)) * sample_period

@@ -21,10 +21,10 @@ from controller_speed import lqg3
 from isolation import isolated
 from logger_endurance import LOAD, cpu_seconds, flood_rates, running
 
-from abrace_bringup.campaign import run_campaign
-from abrace_bringup.table import Table
-from abrace_core.bag import read_topics
-from abrace_core.bag.tally import tallied_losses
+from abrace.campaign import run_campaign
+from abrace.table import Table
+from abrace_bags import read_topics
+from abrace_bags.losses import tallied_losses
 from abrace_core.controller_file import save_controller
 from abrace_core.files import write_text
 

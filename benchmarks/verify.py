@@ -25,19 +25,19 @@ import numpy as np
 from bag_accuracy import verify_bags
 from claims import Claim, claim_table
 
-from abrace_bringup.table import Table
+from abrace.table import Table
 from abrace_core.files import write_text
-from abrace_plant import published
-from abrace_plant.characteristics import characterize
-from abrace_plant.ground_motion import prepare
-from abrace_plant.intensity import STANDARD_GRAVITY, intensity
-from abrace_plant.record_files import Record, read_record
-from abrace_plant.response_spectrum import response_spectrum
-from abrace_plant.rig_motion import RigMotion
+from abrace_plant.records.files import Record, read_record
+from abrace_plant.records.intensity import STANDARD_GRAVITY, intensity
+from abrace_plant.records.response_spectrum import response_spectrum
+from abrace_plant.records.treatment import prepare
+from abrace_plant.rig import published
+from abrace_plant.rig.characteristics import characterize
+from abrace_plant.rig.motion import RigMotion
 
 if TYPE_CHECKING:
-    from abrace_plant.rig import Rig
-    from abrace_sysid.pole_estimate import PoleInterval
+    from abrace_plant.rig.model import Rig
+    from abrace_sysid.fitting.pole_estimate import PoleInterval
 
 RESULTS = Path("results/verify.json")
 SAME_POLE = 0.05

@@ -6,9 +6,9 @@ import importlib
 import textwrap
 from pathlib import Path
 
-from abrace_core.brace_commander import RATE_LIMIT, BraceCommander
 from abrace_core.files import write_text
 from abrace_core.node import AUTOSTART, AbraceLifecycleNode, Parameter
+from abrace_core.node.brace_commander import RATE_LIMIT, BraceCommander
 
 PAGE = Path(__file__).parent / "nodes.md"
 
@@ -26,13 +26,15 @@ NODES = {
         "plant": "Takes `brace_command`, `ground_motion`, `emergency_stop`; publishes `response`, `joint_states`, "
         "`robot_description`, in lockstep `/clock`. Service `~/clear_fault` (std_srvs/Trigger).",
         "ground_motion": "Takes `response`, `emergency_stop`; publishes `ground_motion`. Action `play_ground_motion`.",
+        "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",
+        "characterize": "Offline: a rig measured as the paper measured its building, in numbers and drawn.",
+    },
+    "abrace_bags": {
         "logger": "Takes the topics that it records. Services `~/start`, `~/stop`, `~/pause`, `~/resume`, `~/split`, "
         "`~/snapshot` (all std_srvs/Trigger): bags.md.",
         "replay": "Publishes the topics of a bag. Services `~/pause` (std_srvs/SetBool), `~/step` (std_srvs/Trigger): "
         "replay.md.",
         "recover": "Offline: says what is missing, topic by topic: bags.md.",
-        "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",
-        "characterize": "Offline: a rig measured as the paper measured its building, in numbers and drawn.",
     },
     "abrace_sysid": {
         "excitation": "Takes `response`, `emergency_stop`; publishes `brace_command`. Service `~/clear_fault`.",

@@ -10,12 +10,10 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/abrace_bringup"]),
         ("share/abrace_bringup", ["package.xml"]),
         ("share/abrace_bringup/launch", sorted(glob("launch/*.launch.py"))),
-        ("share/abrace_bringup/campaigns", sorted(glob("campaigns/*.yaml"))),
-        ("bin", ["scripts/abrace"]),
     ],
     zip_safe=True,
     maintainer="abrace developers",
     maintainer_email="maintainers@abrace.example.org",
-    description="Launch files, campaigns, reports and the abrace command.",
+    description="Launch files for the rig.",
     license="Apache-2.0",
 )

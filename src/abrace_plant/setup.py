@@ -20,9 +20,6 @@ setup(
         "console_scripts": [
             "plant = abrace_plant.nodes.plant:main",
             "ground_motion = abrace_plant.nodes.ground_motion:main",
-            "logger = abrace_plant.nodes.logger:main",
-            "recover = abrace_plant.nodes.recover:main",
-            "replay = abrace_plant.nodes.replay:main",
             "record = abrace_plant.nodes.record:main",
             "characterize = abrace_plant.nodes.characterize:main",
         ]

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from abrace_core.command_guard import CommandGuard
 from abrace_core.errors import AbraceError
+from abrace_core.safety.command_guard import CommandGuard
 
 CAPACITY, RATE, PERIOD, RAMP = 24516.625, 5.0e6, 0.002, 0.1
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from abrace_core.command_guard import CommandGuard
 from abrace_core.errors import AbraceError
 from abrace_core.multisine import LINES, multisine, repeated_multisine
+from abrace_core.safety.command_guard import CommandGuard
 
 PERIOD = 16384
 TABLE, COMMAND = (0.3, 10.0), (0.3, 30.0)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from abrace_core.sample_watch import LONGEST_GAP, SampleWatch
+from abrace_core.safety.sample_watch import LONGEST_GAP, SampleWatch
 
 PERIOD = 2_000_000
 

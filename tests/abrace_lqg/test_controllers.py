@@ -16,12 +16,12 @@ from abrace_core.response import TABLE_1_EXPERIMENT, PeakRms, in_paper_units, me
 from abrace_core.simulation import simulate_closed_loop
 from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.loop import closed_loop_poles, sampled
-from abrace_lqg.margins import margins
-from abrace_lqg.mode_damping import mode_effects
+from abrace_lqg.margins.loop_margins import margins
+from abrace_lqg.margins.mode_damping import mode_effects
 from abrace_lqg.weights import Weights, load_weights
-from abrace_plant.ground_motion import Treatment, prepare
-from abrace_plant.record_files import read_record
-from abrace_plant.rig_file import load_rig
+from abrace_plant.records.files import read_record
+from abrace_plant.records.treatment import Treatment, prepare
+from abrace_plant.rig.file import load_rig
 from abrace_sysid.identification import Identification, identify
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_core.linear_model import LinearModel
-    from abrace_plant.rig import Rig
+    from abrace_plant.rig.model import Rig
 
 SOURCES = Path(__file__).parents[2] / "src"
 NAMES = ("lqg1", "lqg2", "lqg3", "lqg4", "lqg5")
@@ -177,7 +177,7 @@ def test_the_other_four_weigh_as_lqg3_but_for_one_factor():
 @pytest.fixture(scope="module")
 def fit_weights() -> ModuleType:
     """The script that found the weights."""
-    spec = importlib.util.spec_from_file_location("fit_weights", SOURCES / "abrace_lqg/scripts/fit_weights.py")
+    spec = importlib.util.spec_from_file_location("fit_weights", SOURCES / "abrace/scripts/fit_weights.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

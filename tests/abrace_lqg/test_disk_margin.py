@@ -7,8 +7,8 @@ import pytest
 
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_lqg.disk_margin import DESCENT, DiskMargin, disk_margin, structured_bound
 from abrace_lqg.loop import is_stable, loop_response
+from abrace_lqg.margins.disk_margin import DESCENT, DiskMargin, disk_margin, structured_bound
 
 PERIOD = 0.01
 

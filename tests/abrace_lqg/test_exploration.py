@@ -17,15 +17,15 @@ from abrace_core.linear_model import LinearModel
 from abrace_core.response import PeakRms
 from abrace_core.run import Run
 from abrace_core.simulation import simulate_closed_loop
-from abrace_lqg import exploration_cluster
 from abrace_lqg.design import design
-from abrace_lqg.ensemble import Record, noise_motion, recorded_motion
-from abrace_lqg.exploration import Outcome, Study, evaluate, explore, weight_sets
-from abrace_lqg.exploration_cluster import cluster
-from abrace_lqg.exploration_figure import trade_off
-from abrace_lqg.exploration_files import load_set, save_exploration, save_weights, write_set
-from abrace_lqg.exploration_report import pareto_front, report
-from abrace_lqg.margins import Margins
+from abrace_lqg.exploration import cluster as exploration_cluster
+from abrace_lqg.exploration.cluster import cluster
+from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motion
+from abrace_lqg.exploration.figure import trade_off
+from abrace_lqg.exploration.files import load_set, save_exploration, save_weights, write_set
+from abrace_lqg.exploration.report import pareto_front, report
+from abrace_lqg.exploration.search import Outcome, Study, evaluate, explore, weight_sets
+from abrace_lqg.margins.loop_margins import Margins
 from abrace_lqg.weights import KindWeights, Weights, load_weights
 
 PERIOD = 0.01

@@ -11,7 +11,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import simulate, simulate_closed_loop
 from abrace_lqg.loop import Loop, closed_loop, closed_loop_poles, is_stable, loop_response, sampled
-from abrace_lqg.margins import margins, margins_at
+from abrace_lqg.margins.loop_margins import margins, margins_at
 
 PERIOD = 0.01
 

@@ -12,7 +12,7 @@ from abrace_core.linear_model import LinearModel, pole_table
 from abrace_core.response import TABLE_1_SIMULATION, PeakRms, mean_relative_error
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
-from abrace_plant.rig_file import load_rig
+from abrace_plant.rig.file import load_rig
 
 SOURCES = Path(__file__).parents[2] / "src"
 

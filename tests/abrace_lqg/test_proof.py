@@ -15,17 +15,17 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel, save_model
 from abrace_lqg.controller import ControlLaw
 from abrace_lqg.design import ControllerDesign, design
-from abrace_lqg.figures import loop_figure
 from abrace_lqg.loop import closed_loop, is_stable, sampled
-from abrace_lqg.lost_samples import lost_samples
-from abrace_lqg.margins import margins
-from abrace_lqg.mode_damping import mode_effects
-from abrace_lqg.prediction import Excitation, controlled_and_not, predicted_rms
-from abrace_lqg.proof import OBJECTIONS, SHORT_DELAY, UNSTABLE, Proof, prove, require
-from abrace_lqg.proof_files import load_models, save_proof
-from abrace_lqg.proof_table import lines
+from abrace_lqg.margins.loop_margins import margins
+from abrace_lqg.margins.lost_samples import lost_samples
+from abrace_lqg.margins.mode_damping import mode_effects
+from abrace_lqg.margins.prediction import Excitation, controlled_and_not, predicted_rms
+from abrace_lqg.proof.checks import OBJECTIONS, SHORT_DELAY, UNSTABLE, Proof, prove, require
+from abrace_lqg.proof.figures import loop_figure
+from abrace_lqg.proof.files import load_models, save_proof
+from abrace_lqg.proof.table import lines
 from abrace_lqg.weights import Weights, load_weights
-from abrace_plant.rig_file import load_rig
+from abrace_plant.rig.file import load_rig
 
 SOURCES = Path(__file__).parents[2] / "src"
 PERIOD = 0.002

@@ -6,14 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from abrace_core.errors import AbraceError
-from abrace_plant.building import (
+from abrace_plant.rig.building import (
     Building,
     modal_damping,
     rayleigh_damping,
     shear_stiffness,
     stiffness_of_modes,
 )
-from abrace_plant.rig_file import load_rig
+from abrace_plant.rig.file import load_rig
 
 PAPERS = load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml").building
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from abrace_plant import published
-from abrace_plant.characteristics import as_json, characterize, comparison, force_response
-from abrace_plant.characteristics_figure import characteristics_figure
-from abrace_plant.rig_file import load_rig
-from abrace_plant.rig_motion import RigMotion
+from abrace_plant.rig import published
+from abrace_plant.rig.characteristics import as_json, characterize, comparison, force_response
+from abrace_plant.rig.characteristics_figure import characteristics_figure
+from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.motion import RigMotion
 
 CONFIGURATION = Path(__file__).parents[2] / "src/abrace_plant/config"
 RIG = load_rig(CONFIGURATION / "ncree_three_storey.yaml")

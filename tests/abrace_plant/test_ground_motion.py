@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from abrace_core.errors import AbraceError
-from abrace_plant.ground_motion import BASELINES, FADE, Treatment, prepare, without_baseline
-from abrace_plant.intensity import integrate
-from abrace_plant.record_files import Record, read_record
+from abrace_plant.records.files import Record, read_record
+from abrace_plant.records.intensity import integrate
+from abrace_plant.records.treatment import BASELINES, FADE, Treatment, prepare, without_baseline
 
 G = 9.80665
 KOBE = Path(__file__).parents[3] / "shared" / "ground_motions" / "RSN1106_KOBE_KJM000.AT2"

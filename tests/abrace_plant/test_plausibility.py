@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from abrace_core.errors import AbraceError
-from abrace_plant.rig_file import load_rig
+from abrace_plant.rig.file import load_rig
 
 ROOT = Path(__file__).parents[2]
 G = 9.80665

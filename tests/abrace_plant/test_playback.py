@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from abrace_plant.playback import CANCEL_TIME, Playback
+from abrace_plant.live.playback import CANCEL_TIME, Playback
 
 MOTION = np.array([0.5, -1.0, 2.0, 0.25])
 

@@ -13,9 +13,9 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
-from abrace_core.bag import BagWriter
+from abrace_bags import BagWriter
 from abrace_core.errors import AbraceError
-from abrace_plant.record_files import read_record
+from abrace_plant.records.files import read_record
 
 G = 9.80665
 VALUES = np.array([0.1, -0.2, 0.3, 0.25, -0.05])

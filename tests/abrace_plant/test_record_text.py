@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from abrace_core.errors import AbraceError
-from abrace_plant.record_files import read_record
+from abrace_plant.records.files import read_record
 
 G = 9.80665
 VALUES = [0.1, -0.2, 0.3, 0.25, -0.05, 0.0, 0.01]

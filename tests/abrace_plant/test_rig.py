@@ -6,11 +6,11 @@ import pytest
 from scipy import linalg
 
 from abrace_core.linear_model import pole_table
-from abrace_plant.actuator import Actuator
-from abrace_plant.building import Building, modal_damping
-from abrace_plant.rig import BraceGroup, LocalMode, Rig, Table
-from abrace_plant.rig_file import load_rig
-from abrace_plant.sensors import Sensor, SensorSet
+from abrace_plant.rig.actuator import Actuator
+from abrace_plant.rig.building import Building, modal_damping
+from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.model import BraceGroup, LocalMode, Rig, Table
+from abrace_plant.rig.sensors import Sensor, SensorSet
 
 RIG = load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml")
 

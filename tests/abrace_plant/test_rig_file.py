@@ -11,11 +11,11 @@ from scipy import linalg
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import discretize, simulate
-from abrace_plant.building import Building, shear_stiffness
-from abrace_plant.ground_motion import Treatment, prepare
-from abrace_plant.record_files import read_record
-from abrace_plant.rig import Rig
-from abrace_plant.rig_file import load_rig
+from abrace_plant.records.files import read_record
+from abrace_plant.records.treatment import Treatment, prepare
+from abrace_plant.rig.building import Building, shear_stiffness
+from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.model import Rig
 
 CONFIGURATIONS = Path(__file__).parents[2] / "src/abrace_plant/config"
 CONFIGURATION = CONFIGURATIONS / "ncree_three_storey.yaml"

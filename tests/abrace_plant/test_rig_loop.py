@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from abrace_core.simulation import simulate
-from abrace_plant.rig_file import load_rig
-from abrace_plant.rig_loop import COMMAND, GROUND, RAMP_TIME, RigLoop
+from abrace_plant.live.loop import COMMAND, GROUND, RAMP_TIME, RigLoop
+from abrace_plant.rig.file import load_rig
 
 TIMEOUT = 0.02
 

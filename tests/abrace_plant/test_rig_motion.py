@@ -7,12 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from abrace_core.simulation import simulate
-from abrace_plant.actuator import Actuator
-from abrace_plant.building import Building
-from abrace_plant.rig import BraceGroup, Rig, Table
-from abrace_plant.rig_file import load_rig
-from abrace_plant.rig_motion import RigMotion
-from abrace_plant.sensors import Sensor, SensorSet
+from abrace_plant.rig.actuator import Actuator
+from abrace_plant.rig.building import Building
+from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.model import BraceGroup, Rig, Table
+from abrace_plant.rig.motion import RigMotion
+from abrace_plant.rig.sensors import Sensor, SensorSet
 
 RIG = load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml")
 UNLIMITED = {"flow_limit": np.inf, "stroke_limit": np.inf, "capacity": 1e12}

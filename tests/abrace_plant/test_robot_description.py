@@ -5,9 +5,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from abrace_plant.building import Building
-from abrace_plant.rig_file import load_rig
-from abrace_plant.robot_description import joint_names, urdf
+from abrace_plant.rig.building import Building
+from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.robot_description import joint_names, urdf
 
 RIG = load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml")
 FIVE_STOREYS = replace(

@@ -2,7 +2,7 @@
 
 import pytest
 
-from abrace_plant.schedule import LONGEST_CATCH_UP, Schedule
+from abrace_plant.live.schedule import LONGEST_CATCH_UP, Schedule
 
 
 def test_stamps_and_sequences_belong_together():

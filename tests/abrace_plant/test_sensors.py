@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from abrace_core.errors import AbraceError
-from abrace_plant.sensors import BLOCK, FAULTS, Measurement, Sensor, SensorFault, SensorSet, parse_fault
+from abrace_plant.rig.sensors import BLOCK, FAULTS, Measurement, Sensor, SensorFault, SensorSet, parse_fault
 
 
 def test_reading_is_the_nearest_step_of_the_converter():

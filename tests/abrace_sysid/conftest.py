@@ -6,7 +6,7 @@ from laboratory import Laboratory
 
 from abrace_core.linear_model import LinearModel
 from abrace_core.run import Run
-from abrace_plant.rig_file import load_rig
+from abrace_plant.rig.file import load_rig
 from abrace_sysid.identification import identify
 
 RIG_FILE = Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml"

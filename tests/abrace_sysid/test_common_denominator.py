@@ -3,8 +3,8 @@ import pytest
 
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
-from abrace_sysid.common_denominator import fit_common_denominator
-from abrace_sysid.curve_fit import fit_sanathanan_koerner, uncertainty_weights
+from abrace_sysid.fitting.common_denominator import fit_common_denominator
+from abrace_sysid.fitting.curve_fit import fit_sanathanan_koerner, uncertainty_weights
 
 POLES = np.array([-0.102 + 7.36j, -0.55 + 22.9j, -0.51 + 38.0j])
 SHAPES = np.array([[1.0, 0.8, 0.3], [-0.5j, 1.0, -0.9], [0.6, -1.0, 1.0j]])

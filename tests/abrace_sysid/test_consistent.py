@@ -10,13 +10,13 @@ from abrace_core.run import Run
 from abrace_core.simulation import discretize
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
-from abrace_plant.ground_motion import Treatment, prepare
-from abrace_plant.record_files import read_record
-from abrace_plant.sensors import Measurement
-from abrace_sysid.consistent import consistent_model, realize_together, slow_real_pole
-from abrace_sysid.frequency_response import FrequencyResponse, local_polynomial
-from abrace_sysid.realization import HOLDS
-from abrace_sysid.reduction import balanced_truncation, typical_scales
+from abrace_plant.records.files import read_record
+from abrace_plant.records.treatment import Treatment, prepare
+from abrace_plant.rig.sensors import Measurement
+from abrace_sysid.models.consistent import consistent_model, realize_together, slow_real_pole
+from abrace_sysid.models.realization import HOLDS
+from abrace_sysid.models.reduction import balanced_truncation, typical_scales
+from abrace_sysid.spectra.frequency_response import FrequencyResponse, local_polynomial
 from abrace_sysid.validation import compare
 
 BAND = (0.3, 30.0)

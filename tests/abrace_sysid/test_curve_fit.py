@@ -3,7 +3,7 @@ import pytest
 
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
-from abrace_sysid.curve_fit import (
+from abrace_sysid.fitting.curve_fit import (
     fit_rational,
     fit_sanathanan_koerner,
     require_stable,

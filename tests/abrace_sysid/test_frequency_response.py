@@ -3,7 +3,7 @@ import pytest
 
 from abrace_core.errors import AbraceError
 from abrace_core.simulation import discretize
-from abrace_sysid.frequency_response import (
+from abrace_sysid.spectra.frequency_response import (
     Choice,
     frequency_responses,
     held_input,

@@ -10,14 +10,14 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
 from abrace_core.noise import banded_noise
 from abrace_core.simulation import discretize
-from abrace_plant.actuator import Actuator
-from abrace_plant.building import Building, modal_damping
-from abrace_plant.rig import BraceGroup
-from abrace_plant.sensors import SensorSet
-from abrace_sysid.frequency_response import Choice
+from abrace_plant.rig.actuator import Actuator
+from abrace_plant.rig.building import Building, modal_damping
+from abrace_plant.rig.model import BraceGroup
+from abrace_plant.rig.sensors import SensorSet
+from abrace_sysid.fitting.pole_estimate import PoleInterval
 from abrace_sysid.identification import IdentificationOptions, identify
-from abrace_sysid.pole_estimate import PoleInterval
-from abrace_sysid.realization import HOLDS
+from abrace_sysid.models.realization import HOLDS
+from abrace_sysid.spectra.frequency_response import Choice
 from abrace_sysid.validation import compare
 
 

@@ -7,12 +7,13 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
 from abrace_core.noise import banded_noise
 from abrace_core.simulation import discretize
-from abrace_sysid import observation, spectra
-from abrace_sysid.frequency_response import FrequencyResponse, local_polynomial
-from abrace_sysid.maximum_likelihood import fit_poles
-from abrace_sysid.order_selection import best_order, try_orders
-from abrace_sysid.realization import HOLDS, modal_states
-from abrace_sysid.vector_fitting import starting_poles
+from abrace_sysid.fitting import observation
+from abrace_sysid.fitting.maximum_likelihood import fit_poles
+from abrace_sysid.fitting.order_selection import best_order, try_orders
+from abrace_sysid.fitting.vector_fitting import starting_poles
+from abrace_sysid.models.realization import HOLDS, modal_states
+from abrace_sysid.spectra import fourier as spectra
+from abrace_sysid.spectra.frequency_response import FrequencyResponse, local_polynomial
 
 BAND = {"w": (0.3, 10.0), "U": (0.3, 30.0)}
 ALL, TABLE = 8, (0, 1, 2, 3, 6)

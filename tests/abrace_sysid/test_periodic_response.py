@@ -7,11 +7,11 @@ from abrace_core.errors import AbraceError
 from abrace_core.multisine import multisine
 from abrace_core.run import Run
 from abrace_core.simulation import discretize
-from abrace_plant.rig_motion import RigMotion
-from abrace_plant.sensors import Measurement
-from abrace_sysid.frequency_response import local_polynomial
-from abrace_sysid.periodic_response import find_period, periodic_response
-from abrace_sysid.realization import HOLDS
+from abrace_plant.rig.motion import RigMotion
+from abrace_plant.rig.sensors import Measurement
+from abrace_sysid.models.realization import HOLDS
+from abrace_sysid.spectra.frequency_response import local_polynomial
+from abrace_sysid.spectra.periodic_response import find_period, periodic_response
 
 PERIOD = 16384
 BANDS = {"w": (0.3, 10.0), "U": (0.3, 30.0)}

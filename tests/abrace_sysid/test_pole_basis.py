@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from abrace_core.simulation import discretize
-from abrace_sysid.pole_basis import Sampling
-from abrace_sysid.realization import HOLDS, modal_states
+from abrace_sysid.fitting.pole_basis import Sampling
+from abrace_sysid.models.realization import HOLDS, modal_states
 
 PERIOD = 0.002
 OMEGA = np.linspace(2, 190, 200)

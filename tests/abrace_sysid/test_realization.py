@@ -6,8 +6,8 @@ import pytest
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import discretize
-from abrace_sysid.frequency_response import FrequencyResponse
-from abrace_sysid.realization import modal_states, realize, superpose
+from abrace_sysid.models.realization import modal_states, realize, superpose
+from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 POLES = np.array([-0.11 + 7.3j, -0.11 - 7.3j, -0.5 + 23j, -0.5 - 23j, -40 + 0j])
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from abrace_core.errors import AbraceError
-from abrace_sysid.frequency_response import frequency_responses
 from abrace_sysid.recordings import longest_piece, prepare, require_at_rest, require_excited
+from abrace_sysid.spectra.frequency_response import frequency_responses
 
 BAND = (0.3, 10.0)
 

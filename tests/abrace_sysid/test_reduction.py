@@ -5,8 +5,8 @@ import pytest
 
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel, pole_table
-from abrace_sysid.realization import superpose
-from abrace_sysid.reduction import Scales, balanced_truncation, errors_by_order, relative_errors, typical_scales
+from abrace_sysid.models.realization import superpose
+from abrace_sysid.models.reduction import Scales, balanced_truncation, errors_by_order, relative_errors, typical_scales
 
 UNITS = Scales(np.ones(2), np.ones(2))
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from abrace_core.errors import AbraceError
-from abrace_sysid.spectra import automatic_half_width, of_run
+from abrace_sysid.spectra.fourier import automatic_half_width, of_run
 
 
 def test_outputs_are_response_times_excitation_plus_transient_and_noise(plain_run):

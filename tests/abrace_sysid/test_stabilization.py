@@ -5,9 +5,9 @@ import pytest
 
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
-from abrace_sysid.frequency_response import FrequencyResponse
-from abrace_sysid.stabilization import Tolerances, modal_assurance, stabilization
-from abrace_sysid.stabilization_figure import stabilization_diagram
+from abrace_sysid.fitting.stabilization import Tolerances, modal_assurance, stabilization
+from abrace_sysid.fitting.stabilization_figure import stabilization_diagram
+from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@ import pytest
 
 from abrace_core.errors import AbraceError
 from abrace_core.simulation import discretize
-from abrace_sysid.transfer_function import FrequencyResponse, fitted_delay, hold_and_delay
+from abrace_sysid.spectra.transfer_function import FrequencyResponse, fitted_delay, hold_and_delay
 
 PERIOD = 0.002
 

@@ -5,8 +5,8 @@ import pytest
 
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
-from abrace_sysid.frequency_response import FrequencyResponse
-from abrace_sysid.vector_fitting import fit_common_poles, starting_poles, vector_fitting
+from abrace_sysid.fitting.vector_fitting import fit_common_poles, starting_poles, vector_fitting
+from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 
 @pytest.fixture(scope="module")

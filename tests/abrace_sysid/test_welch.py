@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from abrace_core.errors import AbraceError
-from abrace_sysid.welch import coherence_of, welch
+from abrace_sysid.spectra.welch import coherence_of, welch
 
 BAND = (5.0, 100.0)
 GAIN = 3.0

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from abrace_bringup.campaign_file import load_campaign
-from abrace_bringup.processes import find_executable
+from abrace.campaign_file import load_campaign
+from abrace.processes import find_executable
 from abrace_core.node import Parameter
 
 ROOT = Path(__file__).parents[2]
@@ -101,13 +101,13 @@ def test_every_page_is_linked_from_the_readme():
 
 LIBRARIES = [
     path
-    for package in ("abrace_core", "abrace_plant", "abrace_sysid", "abrace_lqg")
-    for path in sorted((ROOT / "src" / package / package).glob("*.py"))
-    if path.name not in ("node.py", "brace_commander.py")
+    for package in ("abrace_core", "abrace_bags", "abrace_plant", "abrace_sysid", "abrace_lqg")
+    for path in sorted((ROOT / "src" / package / package).rglob("*.py"))
+    if path.parent.name not in ("node", "nodes")
 ]
 
 
-@pytest.mark.parametrize("path", LIBRARIES, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", LIBRARIES, ids=lambda path: str(path.relative_to(ROOT / "src")))
 def test_public_functions_say_what_their_arguments_are(path):
     """Each argument's name stands in the docstring, or that says as in which other function they are."""
     undocumented = []
@@ -125,7 +125,7 @@ def test_public_functions_say_what_their_arguments_are(path):
     assert not undocumented
 
 
-@pytest.mark.parametrize("path", LIBRARIES, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", LIBRARIES, ids=lambda path: str(path.relative_to(ROOT / "src")))
 def test_libraries_know_no_ros(path):
     imported = {
         name.name.partition(".")[0]

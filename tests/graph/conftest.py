@@ -27,8 +27,8 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from abrace_bringup.parameters import parameter_file
-from abrace_bringup.processes import NodeProcess, ProcessGroup, find_executable
+from abrace.parameters import parameter_file
+from abrace.processes import NodeProcess, ProcessGroup, find_executable
 from abrace_interfaces.msg import BraceCommand, Response
 
 if TYPE_CHECKING:
@@ -43,8 +43,8 @@ PATIENCE = 30.0
 PACKAGES = {
     "plant": "abrace_plant",
     "ground_motion": "abrace_plant",
-    "logger": "abrace_plant",
-    "replay": "abrace_plant",
+    "logger": "abrace_bags",
+    "replay": "abrace_bags",
     "excitation": "abrace_sysid",
     "controller": "abrace_lqg",
 }

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from domain_coordinator import domain_id
 
-from abrace_core.bag import read_facts, read_run, read_topics
+from abrace_bags import read_facts, read_run, read_topics
 
 NOISE = "{record: white_noise, rms: 0.25, band: [0.0, 10.0], seed: 1}"
 
@@ -30,7 +30,7 @@ def campaign(folder: Path, *steps: str, lockstep: bool = True) -> Path:
 
 
 def start(folder: Path, environment: dict, *arguments: str) -> subprocess.Popen:
-    command = [sys.executable, "-c", "import sys; from abrace_bringup.cli import main; sys.exit(main())", *arguments]
+    command = [sys.executable, "-c", "import sys; from abrace.cli import main; sys.exit(main())", *arguments]
     return subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from std_msgs.msg import String
 
-from abrace_bringup.processes import find_executable
-from abrace_core.bag import read_run, read_topics
+from abrace.processes import find_executable
+from abrace_bags import read_run, read_topics
 from abrace_core.node import LATCHED_QOS
 
 RIG = Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml"
@@ -39,7 +39,7 @@ def test_a_signal_ends_every_node_cleanly_and_the_bag_is_closed(graph, number):
 
 def test_a_terminal_that_is_lost_ends_the_logger_with_a_whole_bag(graph):
     bag = graph.folder / "bag"
-    command = ["abrace_plant", "logger", "--ros-args", "-r", f"__ns:={graph.namespace}", "-p", f"output:={bag}"]
+    command = ["abrace_bags", "logger", "--ros-args", "-r", f"__ns:={graph.namespace}", "-p", f"output:={bag}"]
     child, terminal = pty.fork()
     if child == 0:
         os.execvp("abrace", ["abrace", "run", *command])
@@ -154,7 +154,7 @@ def test_a_malformed_record_is_refused_with_its_line(tmp_path):
 def test_a_bag_that_exists_is_not_written_over(tmp_path):
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "precious").write_text("data")
-    ended = run_node("abrace_plant", "logger", "--ros-args", "-p", f"output:={tmp_path / 'bag'}")
+    ended = run_node("abrace_bags", "logger", "--ros-args", "-p", f"output:={tmp_path / 'bag'}")
     expect_refusal(ended, "exists already")
     assert [path.name for path in (tmp_path / "bag").iterdir()] == ["precious"]
 
@@ -184,7 +184,7 @@ def test_a_wrong_controller_file_is_refused_in_one_line(tmp_path, old, new, expe
 
 
 def test_the_command_names_what_there_is_to_run():
-    command = [str(find_executable("abrace_plant", "plant").parents[3] / "abrace_bringup/bin/abrace")]
+    command = [str(find_executable("abrace_plant", "plant").parents[3] / "abrace/bin/abrace")]
     for arguments, expected in ((["abrace_plant", "plan"], "plant"), (["abrace_plan", "plant"], "abrace_plant")):
         ended = subprocess.run([*command, "run", *arguments], capture_output=True, text=True, timeout=30, check=False)
         expect_refusal(ended, expected)

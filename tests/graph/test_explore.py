@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from abrace_bringup.processes import find_executable
+from abrace.processes import find_executable
 from abrace_core.controller_file import load_controller
 from abrace_core.linear_model import save_model
 from abrace_core.node import find_file
-from abrace_plant.rig_file import load_rig
+from abrace_plant.rig.file import load_rig
 
 
 @pytest.fixture(scope="module")

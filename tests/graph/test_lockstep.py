@@ -9,10 +9,10 @@ import pytest
 from ament_index_python.packages import get_package_share_directory
 from rosbags.highlevel import AnyReader
 
-from abrace_core.bag import read_facts, read_run, read_topics
+from abrace_bags import read_facts, read_run, read_topics
 from abrace_interfaces.msg import BraceCommand, Response
-from abrace_plant.rig_file import load_rig
-from abrace_plant.rig_loop import RigLoop
+from abrace_plant.live.loop import RigLoop
+from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -20,11 +20,11 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Float64, Header, String
 from std_srvs.srv import Trigger
 
-from abrace_core.bag import read_facts, read_topics
-from abrace_core.bag.topic_choice import TopicChoice
+from abrace_bags import read_facts, read_topics
+from abrace_bags.nodes.logger import Logger, Recorded
+from abrace_bags.nodes.raw_subscription import published_definition
+from abrace_bags.topic_choice import TopicChoice
 from abrace_interfaces.msg import BraceCommand
-from abrace_plant.nodes.logger import Logger, Recorded
-from abrace_plant.nodes.raw_subscription import published_definition
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -271,7 +271,7 @@ def test_a_logger_that_is_stopped_while_it_starts_leaves_no_bag_behind(graph):
     bag = graph.folder / "bag"
     code = """
 import os, signal, sys
-from abrace_plant.nodes.logger import Logger, main
+from abrace_bags.nodes.logger import Logger, main
 create_service = Logger.create_service
 def stop(self, kind, name, *arguments, **options):
     if name == "~/start":

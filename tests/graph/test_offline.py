@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from abrace_bringup.processes import find_executable
-from abrace_core.bag import BagWriter, message_definition
+from abrace.processes import find_executable
+from abrace_bags import BagWriter, message_definition
 from abrace_core.controller_file import load_controller
 from abrace_core.linear_model import load_model, pole_table
 from abrace_core.node import find_file
 from abrace_core.noise import banded_noise
 from abrace_core.wire import Responses
-from abrace_plant.rig_file import load_rig
-from abrace_plant.rig_loop import RigLoop
+from abrace_plant.live.loop import RigLoop
+from abrace_plant.rig.file import load_rig
 
 SECONDS = 80.0
 

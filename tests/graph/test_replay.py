@@ -13,15 +13,15 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from abrace_core.bag import BagWriter, message_definition, read_topics
-from abrace_core.bag.raw_messages import read_raw
+from abrace_bags import BagWriter, message_definition, read_topics
+from abrace_bags.nodes.replay import Replay
+from abrace_bags.raw import read_raw
 from abrace_core.controller_file import Controller, save_controller
 from abrace_core.node import LATCHED_QOS
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
-from abrace_plant.nodes.replay import Replay
-from abrace_plant.rig_file import load_rig
+from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,19 +9,19 @@ import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
-from abrace_core.bag import read_run, read_topics
+from abrace_bags import read_run, read_topics
 from abrace_core.controller_file import Controller, save_controller
 from abrace_core.node import find_file
 from abrace_interfaces.msg import Response
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
-from abrace_plant.rig_file import load_rig
+from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from abrace_plant.rig import Rig
+    from abrace_plant.rig.model import Rig
 
 SECONDS = 6.0
 TOPICS = ("response", "brace_command", "ground_motion")

@@ -1,1 +1,1 @@
-"""Runs whole tests of the rig: processes, campaigns, reports, the `abrace` command."""
+"""What an operator starts and looks at: launch files."""

@@ -58,7 +58,7 @@ def generate_launch_description() -> LaunchDescription:
                 for name, (default, description) in ARGUMENTS.items()
             ),
             Node(
-                package="abrace_plant",
+                package="abrace_bags",
                 executable="logger",
                 namespace=namespace,
                 output="screen",

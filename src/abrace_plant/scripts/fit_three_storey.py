@@ -22,12 +22,12 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from abrace_core.linear_model import pole_table
-from abrace_plant import published
-from abrace_plant.building import Building, modal_damping
-from abrace_plant.rig_file import load_rig
+from abrace_plant.rig import published
+from abrace_plant.rig.building import Building, modal_damping
+from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
-    from abrace_plant.rig import Rig
+    from abrace_plant.rig.model import Rig
 
 CONFIGURATION = Path(__file__).parents[1] / "config" / "ncree_three_storey.yaml"
 

@@ -18,7 +18,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
 from abrace_core.response import paper_unit
 from abrace_core.simulation import discretize
-from abrace_sysid.realization import HOLDS
+from abrace_sysid.models.realization import HOLDS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
     from abrace_core.linear_model import LinearModel
     from abrace_core.run import Run
-    from abrace_sysid.frequency_response import FrequencyResponse
-    from abrace_sysid.pole_estimate import PoleInterval
-    from abrace_sysid.reduction import OrderErrors
+    from abrace_sysid.fitting.pole_estimate import PoleInterval
+    from abrace_sysid.models.reduction import OrderErrors
+    from abrace_sysid.spectra.frequency_response import FrequencyResponse
     from abrace_sysid.validation import Comparison
 
 

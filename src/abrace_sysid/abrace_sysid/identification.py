@@ -17,14 +17,14 @@ import numpy as np
 from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.run import Run
-from abrace_sysid.consistent import consistent_model, realize_together
-from abrace_sysid.frequency_response import Choice, frequency_responses
-from abrace_sysid.periodic_response import find_period, periodic_response
-from abrace_sysid.pole_fits import FIT_METHODS, PoleFit, fit_poles_of
-from abrace_sysid.realization import realize, superpose, unexplained
+from abrace_sysid.fitting.pole_fits import FIT_METHODS, PoleFit, fit_poles_of
+from abrace_sysid.models.consistent import consistent_model, realize_together
+from abrace_sysid.models.realization import realize, superpose, unexplained
+from abrace_sysid.models.reduction import Reduction, balanced_truncation, typical_scales
 from abrace_sysid.recordings import prepare, require_at_rest
-from abrace_sysid.reduction import Reduction, balanced_truncation, typical_scales
-from abrace_sysid.spectra import held_input
+from abrace_sysid.spectra.fourier import held_input
+from abrace_sysid.spectra.frequency_response import Choice, frequency_responses
+from abrace_sysid.spectra.periodic_response import find_period, periodic_response
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_core.linear_model import LinearModel
-    from abrace_sysid.frequency_response import FrequencyResponse
+    from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 
 POOR_FIT = 0.1

@@ -15,8 +15,8 @@ from scipy import fft, signal
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
-from abrace_sysid.spectra import held_input, transform
-from abrace_sysid.welch import coherence_of
+from abrace_sysid.spectra.fourier import held_input, transform
+from abrace_sysid.spectra.welch import coherence_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

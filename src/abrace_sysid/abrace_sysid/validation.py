@@ -20,7 +20,7 @@ from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.response import PeakRms, peak_rms_of
 from abrace_core.simulation import discretize, simulate, simulate_closed_loop
-from abrace_sysid.realization import HOLDS
+from abrace_sysid.models.realization import HOLDS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from abrace_core.brace_commander import BraceCommander
 from abrace_core.controller_file import ControllerParameters, controller_from_parameters, load_controller
 from abrace_core.errors import AbraceError
 from abrace_core.node import Parameter, run
-from abrace_core.sample_watch import LONGEST_GAP
+from abrace_core.node.brace_commander import BraceCommander
+from abrace_core.safety.sample_watch import LONGEST_GAP
 from abrace_core.signals import command_names, response_names
 from abrace_lqg.active_controller import ActiveController
 

@@ -8,18 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from abrace_core.bag import read_run
+from abrace_bags import read_run
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import load_model
 from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_core.progress import Progress
-from abrace_lqg.ensemble import Record, noise_motion, recorded_motion
-from abrace_lqg.exploration import Study, explore, weight_sets
-from abrace_lqg.exploration_cluster import cluster
-from abrace_lqg.exploration_figure import trade_off
-from abrace_lqg.exploration_files import save_exploration, write_set
-from abrace_lqg.exploration_report import report
+from abrace_lqg.exploration.cluster import cluster
+from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motion
+from abrace_lqg.exploration.figure import trade_off
+from abrace_lqg.exploration.files import save_exploration, write_set
+from abrace_lqg.exploration.report import report
+from abrace_lqg.exploration.search import Study, explore, weight_sets
 from abrace_lqg.weights import load_weights
 
 SPANS = ("displacement", "stroke", "acceleration", "force", "noise_to_excitation")

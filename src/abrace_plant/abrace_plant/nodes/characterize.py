@@ -8,10 +8,10 @@ from pathlib import Path
 from abrace_core.drawing import save_figure
 from abrace_core.files import write_text
 from abrace_core.node import AbraceNode, Parameter, find_file, run
-from abrace_plant import published
-from abrace_plant.characteristics import as_json, characterize, comparison
-from abrace_plant.characteristics_figure import characteristics_figure
-from abrace_plant.rig_file import load_rig
+from abrace_plant.rig import published
+from abrace_plant.rig.characteristics import as_json, characterize, comparison
+from abrace_plant.rig.characteristics_figure import characteristics_figure
+from abrace_plant.rig.file import load_rig
 
 PARAMETERS = [
     Parameter("rig", published.RIG, "rig: a name in the package's configuration or a file", required=True),

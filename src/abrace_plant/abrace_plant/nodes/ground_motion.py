@@ -16,13 +16,13 @@ from abrace_core.errors import AbraceError
 from abrace_core.multisine import LINES, repeated_multisine
 from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, AbraceLifecycleNode, Parameter, run
 from abrace_core.noise import banded_noise
-from abrace_core.sample_watch import SampleWatch
+from abrace_core.safety.sample_watch import SampleWatch
 from abrace_core.wire import Responses, pack_acceleration
 from abrace_interfaces.action import PlayGroundMotion
 from abrace_interfaces.msg import Response
-from abrace_plant.ground_motion import prepare
+from abrace_plant.live.playback import Playback
 from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS, read_as_given, treatment_as_given
-from abrace_plant.playback import Playback
+from abrace_plant.records.treatment import prepare
 
 WHITE_NOISE, MULTISINE = "white_noise", "multisine"
 FEEDBACK_EVERY = 50

@@ -15,6 +15,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.node import (
     KEPT_STREAM_QOS,
     LATCHED_QOS,
+    LOOK_PERIOD,
     STREAM_QOS,
     AbraceLifecycleNode,
     Parameter,
@@ -23,10 +24,10 @@ from abrace_core.node import (
 )
 from abrace_core.wire import BraceCommands, Responses, unpack_acceleration
 from abrace_interfaces.msg import BraceCommand, Response
-from abrace_plant.rig_file import load_rig
-from abrace_plant.rig_loop import COMMAND, GROUND, RigLoop
-from abrace_plant.robot_description import joint_names, urdf
-from abrace_plant.schedule import LOOK_PERIOD, Schedule
+from abrace_plant.live.loop import COMMAND, GROUND, RigLoop
+from abrace_plant.live.schedule import Schedule
+from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.robot_description import joint_names, urdf
 
 PARAMETERS = [
     Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from abrace_core.node import Parameter
-from abrace_plant.ground_motion import BASELINES, Treatment
-from abrace_plant.record_files import UNITS, Record, read_record
+from abrace_plant.records.files import UNITS, Record, read_record
+from abrace_plant.records.treatment import BASELINES, Treatment
 
 NOTHING = Treatment()
 

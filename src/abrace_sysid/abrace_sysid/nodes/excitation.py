@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from abrace_core.brace_commander import BraceCommander
 from abrace_core.errors import AbraceError
 from abrace_core.multisine import LINES, repeated_multisine
 from abrace_core.node import Parameter, run
+from abrace_core.node.brace_commander import BraceCommander
 from abrace_core.noise import banded_noise
 
 PARAMETERS = [

@@ -9,21 +9,21 @@ import time
 from pathlib import Path
 from typing import Any, get_args
 
-from abrace_core.bag import read_run
+from abrace_bags import read_run
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import export_mat, save_model
 from abrace_core.node import AbraceNode, Parameter, run
 from abrace_sysid import figures
-from abrace_sysid.frequency_response import Choice, Method
+from abrace_sysid.fitting.pole_estimate import PoleInterval
+from abrace_sysid.fitting.pole_fits import FIT_METHODS
+from abrace_sysid.fitting.stabilization import stabilization
+from abrace_sysid.fitting.stabilization_figure import stabilization_diagram
 from abrace_sysid.identification import Identification, IdentificationOptions, identify
-from abrace_sysid.pole_estimate import PoleInterval
-from abrace_sysid.pole_fits import FIT_METHODS
-from abrace_sysid.reduction import errors_by_order, typical_scales
-from abrace_sysid.stabilization import stabilization
-from abrace_sysid.stabilization_figure import stabilization_diagram
-from abrace_sysid.welch import Estimator
+from abrace_sysid.models.reduction import errors_by_order, typical_scales
+from abrace_sysid.spectra.frequency_response import Choice, Method
+from abrace_sysid.spectra.welch import Estimator
 
 DEFAULTS = IdentificationOptions()
 CHOICE = DEFAULTS.transfer_function

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from abrace_core.bag import read_run
+from abrace_bags import read_run
 from abrace_core.controller_file import load_controller
 from abrace_core.drawing import save_figure
 from abrace_core.files import write_text

@@ -1,0 +1,1 @@
+"""Runs whole tests of the rig: nodes as processes, campaigns, reports, the `abrace` command."""

@@ -1,0 +1,77 @@
+"""The `abrace` command: run PACKAGE EXECUTABLE, campaign FILE, report DIRECTORY, bag ACTION, demo."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from abrace.bag_command import add_bag_parser, bag_command
+from abrace.processes import NodeDied, find_executable, terminate_as_exception
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+DEMO = "demo"
+WRONG_INPUT = 2
+"""Exit code when something that was given is wrong, to a node or to this command; 1: something failed."""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    main_parser = argparse.ArgumentParser(prog="abrace", description="Tests of an actively braced building on ROS 2.")
+    commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    run = commands.add_parser("run", help="run a node: `ros2 run` for a machine without the ros2 command")
+    run.add_argument("package", help="such as abrace_plant")
+    run.add_argument("executable", help="such as plant")
+    run.add_argument("arguments", nargs=argparse.REMAINDER, help="as for ros2 run: --ros-args -p name:=value ...")
+    campaign = commands.add_parser("campaign", help="run the steps of a campaign file, then report")
+    campaign.add_argument("file", help="YAML file, or the name of one of ours: demo, five_controllers")
+    report = commands.add_parser("report", help="tables and summary.json from a campaign's results")
+    report.add_argument("directory", type=Path, help="such as results/demo")
+    add_bag_parser(commands)
+    commands.add_parser(DEMO, help="the paper's tests, identification, design and comparison on the simulated rig")
+    return main_parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    given = parser().parse_args(arguments)
+    try:
+        with terminate_as_exception():
+            code = _carry_out(given)
+            sys.stdout.flush()
+            return code
+    except AbraceError as error:
+        print(f"abrace: {error}", file=sys.stderr)
+        return 1 if isinstance(error, NodeDied) and error.returncode != WRONG_INPUT else WRONG_INPUT
+    except BrokenPipeError:
+        # who read the output has had enough; what Python still writes at its end goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        print("abrace: stopped", file=sys.stderr)
+        return 130
+
+
+def _carry_out(given: argparse.Namespace) -> int:
+    if given.command == "run":
+        program = find_executable(given.package, given.executable)
+        os.execv(program, [str(program), *given.arguments])
+    if given.command == "bag":
+        bag_command(given)
+        return 0
+    from abrace.report import make_report
+
+    if given.command == "report":
+        print(make_report(given.directory))
+        return 0
+    from abrace.campaign import run_campaign
+    from abrace_core.node import find_file
+
+    name = given.file if given.command == "campaign" else DEMO
+    print(make_report(run_campaign(find_file(name, "abrace", "campaigns", ".yaml", "campaign"))))
+    return 0

@@ -1,0 +1,307 @@
+"""Starting, watching and stopping the processes of a test, so that none outlives it.
+
+Every node runs in a session of its own: Ctrl-C at the terminal reaches us alone, and we stop the nodes in an order that
+lets the logger close its bag last. Signals go to a node's whole process group, so that what it started goes with it.
+Should we be gone without a stop (kill -9), a small guard process ends what is left (`orphan_guard`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from abrace import orphan_guard
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping, Sequence
+
+PACKAGE_MARKERS = Path("share/ament_index/resource_index/packages")
+
+# tells the guard the process group, then becomes the node
+_ANNOUNCE_AND_BECOME = 'echo "+$$" >&0; exec "$@" </dev/null'
+
+
+def find_executable(package: str, executable: str) -> Path:
+    """`lib/<package>/<executable>` under the first prefix of AMENT_PREFIX_PATH that has it.
+
+    Raises
+    ------
+    AbraceError
+        Saying which executables the package has, or which packages with executables there are.
+    """
+    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    if not prefixes:
+        raise AbraceError("AMENT_PREFIX_PATH is not set: expected ros2_ws/setup.bash to be sourced first")
+
+    def executables(name: str) -> set[str]:
+        folders = (prefix / "lib" / name for prefix in prefixes)
+        return {path.name for folder in folders for path in folder.glob("*") if _is_executable(path)}
+
+    for prefix in prefixes:
+        path = prefix / "lib" / package / executable
+        if _is_executable(path):
+            return path
+    if found := executables(package):
+        raise AbraceError(f"package {package} has no executable {executable!r}, expected {_one_of(found)}")
+    packages = {marker.name for prefix in prefixes for marker in (prefix / PACKAGE_MARKERS).glob("*")}
+    if package in packages:
+        raise AbraceError(f"package {package} has no executables, expected {executable!r} in lib/{package}")
+    raise AbraceError(
+        f"no package {package!r} in AMENT_PREFIX_PATH, expected {_one_of({p for p in packages if executables(p)})}"
+    )
+
+
+def _is_executable(path: Path) -> bool:
+    return path.is_file() and os.access(path, os.X_OK)
+
+
+def _one_of(names: Collection[str]) -> str:
+    return " or ".join(sorted(names)) or "one with executables, and there is none"
+
+
+class NodeDied(AbraceError):  # noqa: N818
+    """A node ended by itself.
+
+    Parameters
+    ----------
+    name
+        What the node was called when it was started.
+    returncode
+        Its exit code, or minus the number of the signal that ended it.
+    log_file
+        Where its output is.
+    last_lines
+        The end of its output.
+    """
+
+    def __init__(self, name: str, returncode: int, log_file: Path, last_lines: Sequence[str]) -> None:
+        how = f"exit code {returncode}" if returncode >= 0 else f"ended by {signal.Signals(-returncode).name}"
+        said = "".join(f"\n  | {line}" for line in last_lines) or " nothing"
+        super().__init__(f"{name} died ({how}), its output in {log_file} ends with:{said}")
+        self.name, self.returncode, self.last_lines = name, returncode, tuple(last_lines)
+
+
+class NodeProcess:
+    """A process that a ProcessGroup started."""
+
+    def __init__(self, name: str, log_file: Path, popen: subprocess.Popen[bytes]) -> None:
+        self.name = name
+        self.log_file = log_file
+        self._popen = popen
+
+    @property
+    def group(self) -> int:
+        """The process group, which is the process's own number."""
+        return self._popen.pid
+
+    @property
+    def returncode(self) -> int | None:
+        """Exit code, or minus the number of the signal that ended it; None while it runs."""
+        if self._popen.returncode is None:
+            # the process is left unreaped, so that its group's number stays its own until `reap`
+            ended = os.waitid(os.P_PID, self.group, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+            if ended is None:
+                return None
+            return ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
+        return self._popen.returncode
+
+    def reap(self) -> None:
+        """Take the exit code of an ended process for good; its last threads may still be on their way out."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._popen.wait(timeout=1.0)
+
+    def last_lines(self, count: int = 10) -> list[str]:
+        """The last lines of its output."""
+        with self.log_file.open("rb") as log:
+            log.seek(0, os.SEEK_END)
+            log.seek(max(0, log.tell() - 500 * count))
+            lines = log.read().decode(errors="replace").splitlines()
+        return lines[-count:]
+
+    def died(self) -> NodeDied:
+        """The error to raise for this process, which has ended."""
+        returncode = self.returncode
+        assert returncode is not None, f"{self.name} runs"
+        return NodeDied(self.name, returncode, self.log_file, self.last_lines())
+
+
+class ProcessGroup:
+    """The processes of a test: a context manager that leaves none behind.
+
+    When the block ends, in whatever way, all are stopped, the last started first. An interruption of that stop (a
+    second Ctrl-C) kills them at once.
+
+    Parameters
+    ----------
+    grace
+        Patience after SIGINT, and again after SIGTERM and SIGKILL, when a process is stopped [s].
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder, ProcessGroup() as group:
+    ...     node = group.start("hello", ["echo", "hello"], Path(folder) / "hello.log")
+    ...     ended = None
+    ...     while ended is None:
+    ...         ended = group.poll()
+    ...     ended.name, ended.returncode, ended.last_lines()
+    ('hello', 0, ['hello'])
+    """
+
+    def __init__(self, grace: float = 5.0) -> None:
+        self._grace = grace
+        self._processes: dict[str, NodeProcess] = {}
+        self._ended: list[NodeProcess] = []
+
+    def __enter__(self) -> ProcessGroup:
+        """Start the guard."""
+        script = Path(orphan_guard.__file__)
+        self._guard = subprocess.Popen(
+            [sys.executable, "-I", "-S", str(script), str(self._grace)],
+            bufsize=0,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        assert self._guard.stdin is not None
+        self._to_guard = self._guard.stdin
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop every process, and see the guard off."""
+        try:
+            self.stop_all()
+        except BaseException:
+            for process in self._processes.values():
+                orphan_guard.send(process.group, signal.SIGKILL)
+            raise
+        finally:
+            self._to_guard.close()
+            self._guard.wait()
+
+    def start(
+        self, name: str, argv: Sequence[str | Path], log_file: Path | str, environment: Mapping[str, str] | None = None
+    ) -> NodeProcess:
+        """Start a process in a session of its own.
+
+        Parameters
+        ----------
+        name
+            What to call it; free again once it has been stopped.
+        argv
+            Program and arguments.
+        log_file
+            Takes its output, errors included; written anew.
+        environment
+            Variables in addition to ours.
+
+        Raises
+        ------
+        AbraceError
+            If there is no such program, or the log file cannot be written.
+        """
+        log_file = Path(log_file)
+        if name in self._processes:
+            raise AbraceError(f"cannot start {name}: a process of that name runs already")
+        variables = {**os.environ, "PYTHONUNBUFFERED": "1", **(environment or {})}
+        program = str(argv[0])
+        if shutil.which(program, path=variables.get("PATH")) is None:
+            raise AbraceError(f"cannot start {name}: {program}, expected a program")
+        if self._guard.poll() is not None:
+            raise AbraceError(f"cannot start {name}: the guard process {self._guard.pid} was ended from outside")
+        try:
+            log_file.parent.mkdir(parents=True, exist_ok=True)
+            log = log_file.open("wb")
+        except OSError as error:
+            raise AbraceError(f"cannot write {log_file}: {error.strerror}") from error
+        with log:
+            popen = subprocess.Popen(
+                ["/bin/sh", "-c", _ANNOUNCE_AND_BECOME, name, *map(str, argv)],
+                stdin=self._to_guard,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=variables,
+                start_new_session=True,
+            )
+        process = self._processes[name] = NodeProcess(name, log_file, popen)
+        return process
+
+    def poll(self) -> NodeProcess | None:
+        """The first process that was seen to have ended without a stop, or None."""
+        self._look()
+        return self._ended[0] if self._ended else None
+
+    def raise_if_died(self, may_finish: Collection[str] = ()) -> None:
+        """Raise NodeDied for the first process that ended without a stop.
+
+        Parameters
+        ----------
+        may_finish
+            Names of processes that may end by themselves with exit code 0.
+        """
+        self._look()
+        for process in self._ended:
+            if process.name not in may_finish or process.returncode != 0:
+                raise process.died()
+
+    def _look(self) -> None:
+        for process in self._processes.values():
+            if process not in self._ended and process.returncode is not None:
+                self._ended.append(process)
+
+    def stop(self, name: str, grace: float | None = None) -> NodeProcess:
+        """Stop a process and all that it started: SIGINT, after `grace` SIGTERM, after `grace` SIGKILL.
+
+        Returns
+        -------
+        NodeProcess
+            With its exit code.
+        """
+        process = self._processes[name]
+        orphan_guard.end([process.group], self._grace if grace is None else grace)
+        with contextlib.suppress(BrokenPipeError):
+            self._to_guard.write(f"-{process.group}\n".encode())
+        process.reap()
+        del self._processes[name]
+        if process in self._ended:
+            self._ended.remove(process)
+        return process
+
+    def stop_all(self, order: Sequence[str] = (), grace: float | None = None) -> None:
+        """Stop every process: those named in `order` first, in that order, then the others, the last started first."""
+        others = [name for name in reversed(self._processes) if name not in order]
+        for name in [name for name in order if name in self._processes] + others:
+            self.stop(name, grace)
+
+
+class Terminated(SystemExit):
+    """SIGTERM or SIGHUP came; ends the program with the customary exit code, 128 and the signal's number."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(128 + number)
+
+
+@contextlib.contextmanager
+def terminate_as_exception() -> Iterator[None]:
+    """Within the block SIGTERM and SIGHUP raise Terminated, so that every `with` ends orderly. Main thread alone.
+
+    A signal that was ignored before (nohup) stays ignored.
+    """
+
+    def terminate(number: int, _frame: object) -> None:
+        raise Terminated(number)
+
+    numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, terminate) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,333 @@
+"""The report of a campaign: summary.json, report.md and the tables that the campaign prints.
+
+Made from poles.json, comparison.json and timing.json in the directory of the results (`abrace.results`).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from abrace.results import (
+    AllPoles,
+    Cells,
+    Comparison,
+    Facts,
+    Pole,
+    Poles,
+    Prediction,
+    Results,
+    Timing,
+    read_results,
+)
+from abrace.table import Table
+from abrace_core.files import write_text
+from abrace_core.response import TABLE_1_EXPERIMENT, TABLE_1_SIMULATION, PeakRms, mean_relative_error, paper_unit
+from abrace_plant.rig.published import PAPER_POLES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from abrace_core.config_file import Checked
+
+SAME_POLE = 0.05
+"""Relative difference in frequency within which two poles are taken for the same."""
+PAPER_ERROR = mean_relative_error(TABLE_1_SIMULATION, TABLE_1_EXPERIMENT)
+
+
+def summarise(results: Results) -> dict[str, Any]:
+    """The content of summary.json: what the campaign's steps have found out."""
+    summary: dict[str, Any] = {"timing": _timing(results.timing)}
+    if results.poles is not None:
+        summary["poles"] = {
+            test: poles.model_dump()
+            | {
+                "largest_relative_error": {
+                    "frequency": _largest_error(poles, "frequency"),
+                    "damping_ratio": _largest_error(poles, "damping_ratio"),
+                }
+            }
+            for test, poles in _by_test(results.poles)
+        }
+    if results.main is not None:
+        summary |= _comparison(results.main)
+        summary["comparisons"] = {step: _comparison(one) for step, one in results.comparisons.items()}
+    return summary
+
+
+def _comparison(comparison: Comparison) -> dict[str, Any]:
+    return {
+        "test": comparison.test.model_dump(),
+        "units": {name: paper_unit(name)[1] for name in comparison.measured},
+        "table1": {
+            "measured": _dumped(comparison.measured),
+            "simulated": _dumped(comparison.simulated),
+            "error_vs_paper_experiment": _error_vs_paper(comparison, comparison.measured),
+            "simulated_error_vs_paper_experiment": _error_vs_paper(comparison, comparison.simulated),
+        },
+        "uncontrolled": _dumped(comparison.uncontrolled) if comparison.uncontrolled else None,
+        "simulated_vs_measured": _dumped(comparison.simulated_vs_measured),
+        "peak_rms_error": comparison.peak_rms_error,
+        "other_models": _dumped(comparison.other_models),
+    }
+
+
+def _dumped(rows: Mapping[str, Checked]) -> dict[str, Any]:
+    return {name: row.model_dump() for name, row in rows.items()}
+
+
+def _by_test(poles: AllPoles) -> tuple[tuple[str, Poles], tuple[str, Poles]]:
+    return ("table", poles.table), ("command", poles.command)
+
+
+def _error_vs_paper(comparison: Comparison, rows: Mapping[str, Cells]) -> float | None:
+    if not comparison.is_the_papers:
+        return None
+    return mean_relative_error({name: PeakRms(row.peak, row.rms) for name, row in rows.items()}, TABLE_1_EXPERIMENT)
+
+
+def _timing(timing: Timing) -> dict[str, Any]:
+    tests = [(step.name, step.samples, step.run_seconds) for step in timing.steps if step.samples and step.run_seconds]
+    samples, seconds = sum(test[1] for test in tests), sum(test[2] for test in tests)
+    return {
+        "lockstep": timing.lockstep,
+        "sample_rate": timing.sample_rate,
+        "wall_seconds": {step.name: step.wall_seconds for step in timing.steps},
+        "total_wall_seconds": sum(step.wall_seconds for step in timing.steps),
+        "samples_per_second_of_test": {name: count / run_seconds for name, count, run_seconds in tests},
+        "samples_per_second": samples / seconds if tests else None,
+        "real_time_factor": samples / seconds / timing.sample_rate if tests else None,
+    }
+
+
+def _nearest(poles: Sequence[Pole], frequency: float) -> Pole | None:
+    nearest = min(poles, key=lambda pole: abs(pole.frequency - frequency), default=None)
+    return nearest if nearest and abs(nearest.frequency - frequency) <= SAME_POLE * frequency else None
+
+
+def _largest_error(poles: Poles, key: str) -> float | None:
+    """Largest relative error of the identified poles against the true ones; None if a true pole has no like."""
+    pairs = [(_nearest(poles.identified, true.frequency), true) for true in poles.true]
+    errors = [abs(getattr(found, key) / getattr(true, key) - 1) for found, true in pairs if found is not None]
+    return max(errors) if errors and len(errors) == len(pairs) else None
+
+
+def tables(results: Results) -> list[Table]:
+    """Poles, Table 1, uncontrolled beside controlled, simulated against measured, timing: those that there are."""
+    found = []
+    if results.poles is not None:
+        found += [_pole_table(test, poles) for test, poles in _by_test(results.poles)]
+    if results.main is not None:
+        found.append(_table_1(results.main))
+        if results.main.uncontrolled is not None:
+            found.append(_reduction_table(results.main, results.main.uncontrolled))
+        found.append(_agreement_table(results.main))
+    if len(results.comparisons) > 1:
+        found += [*_controller_tables(results.comparisons), _all_agreements_table(results.comparisons)]
+    return [*found, _timing_table(results.timing)]
+
+
+def _pole_table(test: str, poles: Poles) -> Table:
+    paper = [Pole(frequency=abs(p), damping_ratio=-p.real / abs(p)) for p in PAPER_POLES[test]]
+    missed = [true for true in poles.true if _nearest(poles.identified, true.frequency) is None]
+
+    def row(pole: Pole) -> list[str]:
+        found = None if pole in missed else pole
+        true, papers = _nearest(poles.true, pole.frequency), _nearest(paper, pole.frequency)
+
+        def cells(quantity: Callable[[Pole], float], form: str) -> list[str]:
+            error = 100 * (quantity(found) / quantity(true) - 1) if found and true else None
+            columns = [_number(quantity(p) if p else None, ".3f") for p in (found, true, papers)]
+            return [*columns, _number(error, form)]
+
+        return cells(lambda p: p.frequency, "+.3f") + cells(lambda p: 100 * p.damping_ratio, "+.1f")
+
+    matrix = {"table": "A1", "command": "A2"}[test]
+    columns = ("plant's", f"paper's {matrix}", "error %")
+    ordered = sorted([*poles.identified, *missed], key=lambda pole: pole.frequency)
+    return Table(
+        f"Poles from the {test} test",
+        ("", "rad/s", *columns, "damping %", *columns),
+        tuple((str(i + 1), *row(pole)) for i, pole in enumerate(ordered)),
+    )
+
+
+def _table_1(comparison: Comparison) -> Table:
+    facts = comparison.test
+    columns = {
+        "measured": {name: PeakRms(row.peak, row.rms) for name, row in comparison.measured.items()},
+        "simulated": {name: PeakRms(row.peak, row.rms) for name, row in comparison.simulated.items()},
+    }
+    notes: tuple[str, ...] = ()
+    if comparison.is_the_papers:
+        columns = {"paper exp.": TABLE_1_EXPERIMENT, "paper sim.": TABLE_1_SIMULATION, **columns}
+        measured, simulated = (_error_vs_paper(comparison, r) for r in (comparison.measured, comparison.simulated))
+        note = "Mean absolute relative error against the paper's experiment, 18 cells: "
+        note += f"measured {measured:.3f}, simulated {simulated:.3f}, the paper's simulation {PAPER_ERROR:.3f}"
+        notes = (note,)
+    rows = []
+    for name in comparison.measured:
+        cells = [column.get(name) for column in columns.values()]
+        peaks, rms = [_cell(name, c and c.peak) for c in cells], [_cell(name, c and c.rms) for c in cells]
+        rows.append((_quantity(name), *peaks, *rms))
+    header = ("", *(f"peak: {name}" if i == 0 else name for i, name in enumerate(columns)))
+    header += tuple(f"rms: {name}" if i == 0 else name for i, name in enumerate(columns))
+    return Table(f"Table 1: {facts.controller}, {_motion(facts)}", header, tuple(rows), notes)
+
+
+def _reduction_table(comparison: Comparison, uncontrolled: Mapping[str, Cells]) -> Table:
+    rows = []
+    for name, controlled in comparison.measured.items():
+        row = [_quantity(name)]
+        for before, after in (
+            (uncontrolled[name].peak, controlled.peak),
+            (uncontrolled[name].rms, controlled.rms),
+        ):
+            reduction = _number(100 * (1 - after / before) if before else None, ".1f")
+            row += [_cell(name, before), _cell(name, after), reduction]
+        rows.append(tuple(row))
+    return Table(
+        f"Without and with {comparison.test.controller}: {_motion(comparison.test)}",
+        ("", "peak: without", "with", "reduction %", "rms: without", "with", "reduction %"),
+        tuple(rows),
+    )
+
+
+def _agreement_table(comparison: Comparison) -> Table:
+    header = ("", "correlation", "rms error / rms", "without sensor noise", *comparison.other_models)
+    rows = []
+    for channel, row in comparison.simulated_vs_measured.items():
+        others = [other.simulated_vs_measured[channel].noise_free_error for other in comparison.other_models.values()]
+        errors = (row.normalised_rms_error, row.noise_free_error, *others)
+        rows.append((channel, f"{row.correlation:.4f}", *(f"{error:.4f}" for error in errors)))
+    models: dict[str, Prediction] = {"model": comparison, **comparison.other_models}
+    means = ", ".join(f"{name} {100 * prediction.peak_rms_error:.1f} %" for name, prediction in models.items())
+    note = f"Mean error of peaks and rms: {means}"
+    return Table("Simulated by the identified models against measured", header, tuple(rows), (note,))
+
+
+def _controller_tables(comparisons: Mapping[str, Comparison]) -> list[Table]:
+    """For each motion under which several controllers ran: all of them as measured, and what they take away."""
+    motions: dict[str, list[Comparison]] = {}
+    for comparison in comparisons.values():
+        if comparison.test.controller and comparison.uncontrolled is not None:
+            motions.setdefault(_motion(comparison.test), []).append(comparison)
+    found = []
+    for motion, several in motions.items():
+        if len(several) < 2:
+            continue
+        without, names = several[0].uncontrolled or {}, [one.test.controller for one in several]
+        for key in ("peak", "rms"):
+            measured, reductions = [], []
+            for row, before in without.items():
+                cells = [getattr(one.measured[row], key) for one in several]
+                start = getattr(before, key)
+                measured.append((_quantity(row), _cell(row, start), *(_cell(row, cell) for cell in cells)))
+                less = [_number(100 * (1 - cell / start) if start else None, ".1f") for cell in cells]
+                reductions.append((row, *less))
+            found.append(Table(f"All controllers, {motion}: {key}", ("", "without", *names), tuple(measured)))
+            moved = tuple(row for row in reductions if row[0][0] in "xa")
+            found.append(Table(f"All controllers, {motion}: reduction of {key}, %", ("", *names), moved))
+    return found
+
+
+def _all_agreements_table(comparisons: Mapping[str, Comparison]) -> Table:
+    """Every comparison's worst figures, one row each."""
+    rows = []
+    for step, comparison in comparisons.items():
+        worst = min(row.correlation for row in comparison.simulated_vs_measured.values())
+        error = max(row.noise_free_error for row in comparison.simulated_vs_measured.values())
+        others = (f"{100 * other.peak_rms_error:.2f}" for other in comparison.other_models.values())
+        peaks = worst_peak_rms_error(comparison)
+        rows.append(
+            (step, f"{worst:.4f}", *(f"{100 * x:.2f}" for x in (error, comparison.peak_rms_error, peaks)), *others)
+        )
+    other_models = next(iter(comparisons.values())).other_models
+    return Table(
+        "Simulated against measured, every test",
+        (
+            "",
+            "least correlation",
+            "greatest rms error %",
+            "peaks and rms: mean error %",
+            "greatest %",
+            *(f"mean, {name} %" for name in other_models),
+        ),
+        tuple(rows),
+        ("Rms errors without sensor noise.",),
+    )
+
+
+def worst_peak_rms_error(comparison: Comparison) -> float:
+    """Greatest relative error of a simulated peak or rms value, of the channels that move.
+
+    Parameters
+    ----------
+    comparison
+        Of a validate step.
+    """
+    return max(
+        abs(getattr(comparison.simulated[name], key) / getattr(comparison.measured[name], key) - 1)
+        for name in comparison.simulated_vs_measured
+        for key in ("peak", "rms")
+    )
+
+
+def _timing_table(timing: Timing) -> Table:
+    summary = _timing(timing)
+    speeds = summary["samples_per_second_of_test"]
+
+    def row(name: str, seconds: float, speed: float | None) -> tuple[str, ...]:
+        return (
+            name,
+            f"{seconds:.1f}",
+            _number(speed, ".0f"),
+            _number(speed and speed / timing.sample_rate, ".2f"),
+        )
+
+    return Table(
+        f"Timing, {'in lockstep' if timing.lockstep else 'in real time'}",
+        ("step", "wall s", "samples/s", "x real time"),
+        (
+            *(row(step.name, step.wall_seconds, speeds.get(step.name)) for step in timing.steps),
+            row("all", summary["total_wall_seconds"], summary["samples_per_second"]),
+        ),
+    )
+
+
+def _motion(facts: Facts) -> str:
+    return facts.record + (f" at {facts.peak_acceleration / 9.80665:.3g} g" if facts.peak_acceleration else "")
+
+
+def _quantity(name: str) -> str:
+    return f"{name} [{paper_unit(name)[1]}]"
+
+
+def _cell(name: str, value: float | None) -> str:
+    return _number(value, {"cm": ".3f", "g": ".4f", "kgf": ".1f"}[paper_unit(name)[1]])
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def make_report(directory: Path | str) -> str:
+    """Write summary.json and report.md into the directory of a campaign's results, and return the tables as text.
+
+    Figures (PNG, SVG) below the directory are shown in report.md.
+
+    Raises
+    ------
+    AbraceError
+        If a file of the results is missing or malformed; nothing is written then.
+    """
+    directory = Path(directory)
+    results = read_results(directory)
+    contents = tables(results)
+    found = sorted(path.relative_to(directory) for path in directory.rglob("*") if path.suffix in {".png", ".svg"})
+    figures = [f"![{path.stem.replace('_', ' ')}]({path.as_posix().replace(' ', '%20')})" for path in found]
+    sections = [f"# {directory.resolve().name}", *(table.markdown() for table in contents)]
+    write_text(directory / "summary.json", json.dumps(summarise(results), indent=1) + "\n")
+    write_text(directory / "report.md", "\n\n".join([*sections, *(["## Figures", *figures] if figures else [])]) + "\n")
+    return "\n\n".join(table.text() for table in contents)

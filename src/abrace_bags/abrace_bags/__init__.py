@@ -1,0 +1,26 @@
+"""Bags: MCAP files in rosbag2's layout, the record of what happened.
+
+A bag is a directory that `ros2 bag`, `mcap` and `rosbags` read, with the run's facts in it. It is written message by
+message (`BagWriter`), and read back whole topics at a time as arrays (`read_topics`) or as a test of the rig
+(`read_run`), also when the process that wrote it was killed; `recover` makes a whole bag of such a one.
+"""
+
+from abrace_bags.definitions import MessageDefinition, message_definition
+from abrace_bags.reader import BagContents, TopicArrays, read_facts, read_topics
+from abrace_bags.recovery import Recovered, recover
+from abrace_bags.run import read_run
+from abrace_bags.writer import BagWriter, offered_qos
+
+__all__ = [
+    "BagContents",
+    "BagWriter",
+    "MessageDefinition",
+    "Recovered",
+    "TopicArrays",
+    "message_definition",
+    "offered_qos",
+    "read_facts",
+    "read_run",
+    "read_topics",
+    "recover",
+]

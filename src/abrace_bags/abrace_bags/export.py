@@ -1,0 +1,113 @@
+"""A bag's topics for other programs: comma-separated values, MATLAB files."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from abrace_core.errors import AbraceError
+from abrace_core.files import write_beside
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from abrace_bags.reader import TopicArrays
+
+_LONGEST_NAME = 63
+"""Characters of a MATLAB name."""
+
+
+def columns(messages: TopicArrays) -> dict[str, NDArray[Any]]:
+    """All values of a topic's `messages` as columns.
+
+    Returns
+    -------
+    dict
+        By name, the bag's `log_time` and `publish_time` [ns] first (a field of that name is `message.log_time`), the
+        elements of an array as `force[0]`: (messages,) each.
+
+    Raises
+    ------
+    AbraceError
+        If an array has not the same length in all messages.
+    """
+    found: dict[str, NDArray[Any]] = {}
+    for name, values in _with_times(messages).items():
+        if values.dtype == object and not (values.size and isinstance(values.flat[0], str)):
+            raise AbraceError(f"{name} has not the same length in all messages, expected a table's columns")
+        places = itertools.product(*map(range, values.shape[1:]))
+        for place, column in zip(places, values.reshape(len(values), math.prod(values.shape[1:])).T, strict=True):
+            found[name + "".join(f"[{number}]" for number in place)] = column
+    return found
+
+
+def write_csv(path: Path | str, messages: TopicArrays) -> None:
+    """Write a topic's `messages` as comma-separated values, a line each below one of names; every digit is kept.
+
+    Raises
+    ------
+    AbraceError
+        If an array has not the same length in all messages, or the file can't be written.
+    """
+    table = columns(messages)
+    with write_beside(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(table)
+        writer.writerows(zip(*(column.tolist() for column in table.values()), strict=True))
+
+
+def write_mat(path: Path | str, topics: Mapping[str, TopicArrays], facts: Mapping[str, str]) -> None:
+    """Write topics as a MATLAB file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    topics
+        By name. Each becomes a struct of that name, its fields (messages, ...) arrays and `log_time`, `publish_time`;
+        what can't stand in a MATLAB name is an underscore.
+    facts
+        Become the struct `facts`.
+
+    Raises
+    ------
+    AbraceError
+        If two names become one, or the file can't be written.
+    """
+    from scipy.io import savemat
+
+    structs: dict[str, Any] = {}
+    for topic, messages in topics.items():
+        _add(structs, topic, _struct(_with_times(messages)))
+    _add(structs, "facts", _struct(facts))
+    with write_beside(path) as beside:
+        savemat(str(beside), structs, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
+
+
+def _with_times(messages: TopicArrays) -> dict[str, NDArray[Any]]:
+    """The bag's times and the fields; a field of such a name becomes `message.log_time`."""
+    times = {"log_time": messages.log_time, "publish_time": messages.publish_time}
+    return times | {f"message.{name}" if name in times else name: values for name, values in messages.fields.items()}
+
+
+def _struct(values: Mapping[str, Any]) -> dict[str, Any]:
+    named: dict[str, Any] = {}
+    for name, value in values.items():
+        _add(named, name, value.astype(object) if isinstance(value, np.ndarray) and value.dtype.kind == "U" else value)
+    return named
+
+
+def _add(named: dict[str, Any], name: str, value: Any) -> None:
+    plain = re.sub(r"\W", "_", name.strip("/"), flags=re.ASCII)
+    plain = (plain if plain[:1].isalpha() else f"x_{plain}")[:_LONGEST_NAME]
+    if plain in named:
+        raise AbraceError(f"{name} and another name are both {plain} in MATLAB, expected different names")
+    named[plain] = value

@@ -1,0 +1,1 @@
+"""The MCAP container: files to records and back, with every checksum, index and kind of damage. No ROS message here."""

@@ -1,0 +1,1 @@
+"""The nodes: parameters, topics, callbacks and `main`, one module for each executable."""

@@ -1,0 +1,32 @@
+"""The node `recover`: a whole bag out of one that was cut off or damaged."""
+
+from __future__ import annotations
+
+from abrace_bags import recover
+from abrace_core.node import AbraceNode, Parameter, run
+
+PARAMETERS = [
+    Parameter("bag", "", "bag (a directory or an MCAP file) that was cut off or damaged", required=True),
+    Parameter("output", "", "bag (a new directory) to write", required=True),
+]
+
+
+class Recover(AbraceNode):
+    """Reads what can be read, writes it and ends."""
+
+    def __init__(self) -> None:
+        super().__init__("recover", PARAMETERS)
+
+    def work(self) -> None:
+        """Read, write, print."""
+        given = self.parameters
+        recovered = recover(given.bag, given.output)
+        for warning in recovered.warnings:
+            print(f"recover: {warning}", flush=True)
+        counts = ", ".join(f"{count} of {topic}" for topic, count in recovered.counts.items())
+        print(f"recover: wrote {given.output}: {counts}", flush=True)
+
+
+def main() -> int:
+    """Entry point."""
+    return run(Recover)

@@ -1,0 +1,277 @@
+"""A bag's messages played: which is next and when it is due, by the clock or answered sample by sample.
+
+Played in lockstep, a controller sees the samples of an earlier run, and its answers are that run's again, to the last
+bit: the law of Eq. (13) has no other input.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from typing import TYPE_CHECKING
+
+from abrace_bags import message_definition
+from abrace_bags.raw import RawBag
+from abrace_core.errors import AbraceError
+from abrace_core.wire import BraceCommands, Responses
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from abrace_bags.raw import RawMessage, RecordedTopic
+
+RESPONSE_TYPE = "abrace_interfaces/msg/Response"
+COMMAND_TYPE = "abrace_interfaces/msg/BraceCommand"
+COMMAND_TOPIC = "brace_command"
+OBEYED = (COMMAND_TOPIC, "ground_motion", "emergency_stop")
+"""Ends of the names of topics that move a rig, or that end its emergency stop."""
+
+
+def without_commands(bag: RawBag) -> RawBag:
+    """A bag without the topics that a rig obeys, and a warning that says so: nobody moves a rig by not naming a topic.
+
+    Parameters
+    ----------
+    bag
+        To be replayed.
+    """
+
+    def obeyed(topic: RecordedTopic) -> bool:
+        return topic.type_name == COMMAND_TYPE or topic.name.rpartition("/")[2] in OBEYED
+
+    left_out = sorted(topic.name for topic in bag.topics.values() if obeyed(topic))
+    if not left_out:
+        return bag
+    return RawBag(
+        {name: topic for name, topic in bag.topics.items() if name not in left_out},
+        [message for message in bag.messages if message.topic not in left_out],
+        (*bag.warnings, f"{', '.join(left_out)} left out: a rig obeys them (parameter topics replays them by name)"),
+    )
+
+
+def excerpt(messages: Sequence[RawMessage], start_offset: float, duration: float) -> Sequence[RawMessage]:
+    """The messages of a part of the time.
+
+    Parameters
+    ----------
+    messages
+        In the order of their log times.
+    start_offset
+        Where the part begins [s], counted from the first message.
+    duration
+        Its length [s]; 0: to the end.
+
+    Raises
+    ------
+    AbraceError
+        If there is no message in it.
+    """
+    if not messages:
+        raise AbraceError("there is no message on the topics to replay")
+    begin = messages[0].log_time + round(start_offset * 1e9)
+    first = bisect_left(messages, begin, key=_log_time)
+    last = bisect_left(messages, begin + round(duration * 1e9), key=_log_time) if duration else len(messages)
+    if first == last:
+        span = (messages[-1].log_time - messages[0].log_time) * 1e-9
+        part = f"{start_offset:g} s to {f'{start_offset + duration:g} s' if duration else 'the end'}"
+        raise AbraceError(f"there is no message from {part}, its messages span {span:.3f} s")
+    return messages[first:last]
+
+
+def _log_time(message: RawMessage) -> int:
+    return message.log_time
+
+
+def check_type(topic: RecordedTopic) -> None:
+    """See to it that what is installed here under the name of a topic's type is what was recorded.
+
+    Parameters
+    ----------
+    topic
+        To be replayed.
+
+    Raises
+    ------
+    AbraceError
+        If the type is not installed or is another one.
+    """
+    try:
+        installed = message_definition(topic.type_name).type_hash
+    except AbraceError as error:
+        raise AbraceError(f"topic {topic.name}: {error}") from error
+    if topic.type_hash not in ("", installed):
+        raise AbraceError(
+            f"topic {topic.name}: {topic.type_name} was recorded as {topic.type_hash}, "
+            f"expected the one that is installed, {installed}"
+        )
+
+
+def response_topic(topics: Mapping[str, RecordedTopic], messages: Sequence[RawMessage]) -> str:
+    """The topic whose samples are answered in lockstep.
+
+    Parameters
+    ----------
+    topics
+        Those to replay, by name.
+    messages
+        Those to replay.
+
+    Raises
+    ------
+    AbraceError
+        If there is not exactly one of responses, none of its messages is there, or the answers themselves are among
+        the topics.
+    """
+    found = [name for name, topic in topics.items() if topic.type_name == RESPONSE_TYPE]
+    if len(found) != 1:
+        raise AbraceError(
+            f"parameter lockstep: {len(found)} topics of {RESPONSE_TYPE} to replay "
+            f"({', '.join(sorted(found)) or 'none'}), expected one (parameter topics)"
+        )
+    answers = beside(found[0], COMMAND_TOPIC)
+    if answers in topics:
+        raise AbraceError(
+            f"parameter lockstep: {answers} answers {found[0]} and can't be replayed as well, "
+            "expected topics without it (parameter topics)"
+        )
+    if not any(message.topic == found[0] for message in messages):
+        raise AbraceError(f"parameter lockstep: no message of {found[0]} in the part to replay, expected some")
+    return found[0]
+
+
+def beside(topic: str, name: str) -> str:
+    """The topic of this `name` in the same namespace as `topic`."""
+    return f"{topic.rpartition('/')[0]}/{name}"
+
+
+class BagPlayback:
+    """Plays messages one after the other, each when it is due by a clock that can be stopped, or out of its time.
+
+    The clock stands still at first.
+
+    Parameters
+    ----------
+    messages
+        At least one, in the order of their log times.
+    rate
+        Bag time over time.
+    loop
+        Whether to begin again at the end.
+
+    Raises
+    ------
+    AbraceError
+        If all are of one time and are to be played again and again.
+    """
+
+    def __init__(self, messages: Sequence[RawMessage], rate: float, loop: bool) -> None:
+        self._messages = messages
+        self._rate = rate
+        self._loop = loop
+        self._position = 0
+        self._first, self._last = messages[0].log_time, messages[-1].log_time
+        if loop and self._last == self._first:
+            raise AbraceError("parameter loop: all messages to replay are of one time, expected some that follow")
+        # a round lasts one mean interval longer than its messages: its last one and the first of the next are apart
+        self._round = self._last - self._first + round((self._last - self._first) / max(len(messages) - 1, 1))
+        self._bag_time = self._first
+        self._clock_time = 0.0
+        self._running = False
+        self.played = 0
+        """Messages played, in all rounds."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether the last message has been played."""
+        return self._position == len(self._messages)
+
+    @property
+    def fraction(self) -> float:
+        """How much of the messages of this round has been played."""
+        return self._position / len(self._messages)
+
+    @property
+    def due(self) -> float | None:
+        """When the next message is due [s]; None: while the clock stands, and after the last."""
+        if not self._running or self.ended:
+            return None
+        return self._clock_time + (self._messages[self._position].log_time - self._bag_time) * 1e-9 / self._rate
+
+    def bag_time(self, now: float) -> int:
+        """The time of the bag [ns] at `now` [s], within that of its messages."""
+        time = self._bag_time
+        if self._running:
+            time += round((now - self._clock_time) * 1e9 * self._rate)
+        return max(self._first, min(time, self._last))
+
+    def start_clock(self, now: float) -> None:
+        """Go on from where the clock stood; `now` in seconds."""
+        if not self._running:
+            self._clock_time = now
+            self._running = True
+
+    def stop_clock(self, now: float) -> None:
+        """Stand still; `now` in seconds."""
+        if self._running:
+            self._bag_time = self.bag_time(now)
+            self._running = False
+
+    def take(self) -> RawMessage:
+        """The next message, which is due."""
+        message = self._messages[self._position]
+        self._position += 1
+        self.played += 1
+        if self._loop and self.ended:
+            self._position = 0
+            self._bag_time -= self._round
+        return message
+
+    def take_early(self) -> RawMessage:
+        """The next message while the clock stands: the bag's time is its time from now on, if it is not later."""
+        self._bag_time = max(self._bag_time, self._messages[self._position].log_time)
+        return self.take()
+
+
+class Answers:
+    """Knows whether the last sample played has been answered.
+
+    Parameters
+    ----------
+    topic
+        Of the samples.
+    """
+
+    def __init__(self, topic: str) -> None:
+        self._topic = topic
+        self._responses, self._commands = Responses(), BraceCommands()
+        self.missing: int | None = None
+        """Number of the sample that waits for its answer."""
+
+    def played(self, message: RawMessage) -> None:
+        """A message was published; if it is a sample it waits for an answer from now on.
+
+        Parameters
+        ----------
+        message
+            Any message.
+
+        Raises
+        ------
+        AbraceError
+            If a sample can't be read.
+        """
+        if message.topic == self._topic:
+            self.missing = self._responses.unpack(message.payload)[1]
+
+    def take(self, payload: bytes) -> bool:
+        """Whether a command, given as its `payload`, is the answer that was missing.
+
+        Raises
+        ------
+        AbraceError
+            If it can't be read.
+        """
+        sequence, _ = self._commands.unpack(payload)
+        if sequence != self.missing:
+            return False
+        self.missing = None
+        return True

@@ -1,0 +1,78 @@
+"""What an exploration found, in words: which sets are worth a look, and why some gave no controller."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_lqg.exploration.search import Outcome
+
+ROWS = 12
+"""Sets of the front that are listed, spread evenly over it."""
+
+REASONS = 3
+
+
+def pareto_front(force: NDArray[np.float64], response: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Indices of the points that no other one beats in both, by increasing force.
+
+    Parameters
+    ----------
+    force, response
+        (points,) what is wanted small.
+
+    >>> pareto_front(np.array([1.0, 2.0, 3.0, 4.0]), np.array([0.9, 0.5, 0.6, 0.4])).tolist()
+    [0, 1, 3]
+    """
+    order = np.lexsort((response, force))
+    least = np.minimum.accumulate(response[order])
+    return order[np.append(True, least[1:] < least[:-1])[: len(order)]]
+
+
+def report(outcomes: Sequence[Outcome]) -> list[str]:
+    """Lines that tell of the given weights, of some sets on the front, and of those that gave no controller.
+
+    Parameters
+    ----------
+    outcomes
+        Of all sets, the given weights first.
+    """
+    found = [outcome for outcome in outcomes if not outcome.refused]
+    lines = []
+    if found:
+        force = np.array([outcome.command.rms if outcome.command else np.nan for outcome in found])
+        response = np.array([outcome.response("acceleration") for outcome in found])
+        front = pareto_front(force, response)
+        chosen = front[np.unique(np.linspace(0, len(front) - 1, ROWS).round().astype(int))]
+        lines += [
+            "response: rms over that with zero command; margins with the simulation model",
+            "  set  command rms, peak (N)  saturated  displacement  acceleration  gain dB  phase deg  delay ms",
+            *(_row(found[index], "") for index in chosen),
+        ]
+        if not outcomes[0].refused:
+            lines.append(_row(outcomes[0], "  (the given weights)"))
+    refused = Counter(outcome.refused for outcome in outcomes if outcome.refused)
+    if refused:
+        lines.append(f"{refused.total()} of {len(outcomes)} sets gave no controller:")
+        lines += [f"  {count} x {reason}" for reason, count in refused.most_common(REASONS)]
+        if len(refused) > REASONS:
+            lines.append(f"  and {len(refused) - REASONS} further reasons, in exploration.csv")
+    return lines
+
+
+def _row(outcome: Outcome, note: str) -> str:
+    command, margins = outcome.command, outcome.margins
+    assert command is not None
+    assert margins is not None
+    return (
+        f"{outcome.number:5d}  {command.rms:11.0f}  {command.peak:8.0f}  {outcome.saturated:9d}"
+        f"  {outcome.response('displacement'):12.3f}  {outcome.response('acceleration'):12.3f}"
+        f"  {margins.gain:7.1f}  {margins.phase:9.1f}  {1e3 * margins.delay:8.1f}{note}"
+    )

@@ -1,0 +1,1 @@
+"""A sampled loop to its margins: stability, damping, lost samples, predicted responses."""

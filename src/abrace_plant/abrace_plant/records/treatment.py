@@ -1,0 +1,225 @@
+"""A record made ready for the table: corrected, scaled in time, filtered, resampled to the rig's rate, scaled to a PGA.
+
+The paper plays El Centro for 100 s and Kobe for 60 s, both at 0.1 g. White noise for the table comes from
+`abrace_core.noise.banded_noise`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import fft, signal
+
+from abrace_core.errors import AbraceError
+from abrace_plant.records.intensity import check_motion, integrate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from abrace_plant.records.files import Record
+
+UNCHANGED = 0.8
+"""Share of the band limit at which the motion begins to fade out; at the limit it is gone."""
+STOPBAND = 100.0
+"""dB by which everything beyond the band limit is suppressed; the motion below is changed by as little (1e-5)."""
+RESAMPLING_STOPBAND = 105.0
+"""The same where the limit is half the lower sample rate: images of the highest frequencies at its edge add to that."""
+FADE = 0.5
+"""Seconds over which a motion that is cut fades to zero."""
+FINEST = 5000
+"""Greatest denominator of the ratio of the two sample rates."""
+BASELINES = {"none": 0, "constant": 1, "linear": 2, "quadratic": 3}
+"""Baselines that can be removed from an acceleration, and how many coefficients each has."""
+LOW_CUT_ORDER = 4
+"""Order of the Butterworth filter that the low cut amounts to, run forwards and backwards."""
+
+
+@dataclass(frozen=True)
+class Treatment:
+    """What is done to a record before it is played, in the order in which it is done.
+
+    Times and frequencies are those of the played motion, after the time scaling.
+
+    Parameters
+    ----------
+    baseline
+        "none", "constant", "linear" or "quadratic": the polynomial in the acceleration whose removal leaves the least
+        mean square velocity (Berg and Housner, 1961; of its limits, Boore and Bommer, 2005).
+    time_scale
+        Time of the played motion over time of the record: the square root of the length scale for a model under the
+        same gravity and the same accelerations. 1: as recorded.
+    taper
+        Seconds at each end of the record over which it rises from zero and falls to zero, in a straight line. What it
+        takes away makes velocity and displacement drift, unless a low cut follows.
+    low_cut
+        Frequency below which the motion is removed [Hz], without a shift in time; the amplitude is half there, as after
+        a Butterworth filter of order 4 forwards and backwards. The motion begins and ends with velocity zero. 0: none.
+    band_limit
+        Frequency beyond which nothing is left [Hz]; below 0.79 times it the motion is unchanged within 1e-5. 0, or more
+        than half of the record's or of the rig's sample rate: that half, below 0.8 times which it is unchanged within
+        1e-5, and no filter where the two rates are equal.
+    peak_acceleration
+        Greatest absolute value of the whole treated motion [m/s^2], met exactly, before a longer motion is cut; 0: as
+        recorded.
+    duration
+        [s]; a shorter motion is followed by zeros, a longer one is cut and fades out over its last 0.5 s. 0: the
+        whole record.
+    """
+
+    baseline: str = "none"
+    time_scale: float = 1.0
+    taper: float = 0.0
+    low_cut: float = 0.0
+    band_limit: float = 0.0
+    peak_acceleration: float = 0.0
+    duration: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.baseline not in BASELINES:
+            raise AbraceError(f"ground motion baseline {self.baseline!r}: expected one of {', '.join(BASELINES)}")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, str):
+                continue
+            positive = field.name == "time_scale"
+            if not (np.isfinite(value) and value >= 0) or (positive and value == 0):
+                expected = "more than 0" if positive else "0 or more"
+                raise AbraceError(f"ground motion {field.name} {value}: expected {expected}")
+
+
+def prepare(record: Record, sample_rate: float, treatment: Treatment | None = None) -> NDArray[np.float64]:
+    """The table's acceleration sample by sample.
+
+    Parameters
+    ----------
+    record
+        The recorded motion.
+    sample_rate
+        Of the rig [Hz].
+    treatment
+        What to do beside resampling; None: nothing.
+
+    Returns
+    -------
+    NDArray
+        (samples,) [m/s^2], the first at the record's first sample.
+
+    Raises
+    ------
+    AbraceError
+        If the treatment does not fit the record: a taper longer than half of it, a low cut beyond what is left, a peak
+        asked of a record of zeros; or as in `intensity.check_motion`.
+    """
+    asked = treatment or Treatment()
+    check_motion(record)
+    where = f"ground motion {record.name}"
+    if not (np.isfinite(sample_rate) and sample_rate > 0):
+        raise AbraceError(f"{where}: sample_rate {sample_rate}, expected more than 0")
+    if 0 < asked.duration * sample_rate < 1:
+        raise AbraceError(f"{where}: duration {asked.duration} s, expected a sample or more")
+    period = record.sample_period * asked.time_scale
+    length = (len(record.acceleration) - 1) * period
+    if asked.taper > length / 2:
+        raise AbraceError(f"{where}: taper {asked.taper:g} s, expected at most half of the motion's {length:g} s")
+    held = min(1 / period, sample_rate) / 2
+    limit = min(asked.band_limit or held, held)
+    if asked.low_cut >= limit:
+        raise AbraceError(
+            f"{where}: low_cut {asked.low_cut:g} Hz, expected less than {limit:g} Hz, the band's upper end"
+        )
+
+    acceleration = without_baseline(record.acceleration, record.sample_period, asked.baseline)
+    if asked.taper:
+        time = period * np.arange(len(acceleration))
+        acceleration = acceleration * np.minimum(np.minimum(time, time[::-1]) / asked.taper, 1)
+    if asked.low_cut:
+        acceleration = _cut_low(acceleration, period, asked.low_cut)
+    recorded = int(length * sample_rate * (1 + 1e-9)) + 1
+    samples = round(asked.duration * sample_rate) or recorded
+    motion = _resample(where, acceleration, period, sample_rate, limit, max(samples, recorded))
+    if asked.peak_acceleration:
+        peak = np.abs(motion).max()
+        if peak == 0:
+            raise AbraceError(f"{where}: zero throughout, cannot be scaled to a peak")
+        motion = motion / peak * asked.peak_acceleration
+    if samples < recorded:
+        motion = motion[:samples]
+        fall = min(round(FADE * sample_rate), samples)
+        motion[samples - fall :] *= (1 + np.cos(np.pi * np.arange(1, fall + 1) / max(fall, 1))) / 2
+    return motion
+
+
+def without_baseline(acceleration: NDArray[np.float64], sample_period: float, baseline: str) -> NDArray[np.float64]:
+    """An acceleration less the polynomial whose removal leaves the least mean square velocity.
+
+    Parameters
+    ----------
+    acceleration
+        (samples,) [m/s^2].
+    sample_period
+        [s].
+    baseline
+        A key of `BASELINES`.
+
+    Returns
+    -------
+    NDArray
+        (samples,) [m/s^2].
+    """
+    coefficients = BASELINES[baseline]
+    if coefficients == 0:
+        return acceleration
+    # orthogonal polynomials over the record: the fit stays well conditioned
+    along = np.linspace(-1, 1, len(acceleration))
+    powers = np.asarray(np.polynomial.legendre.legvander(along, coefficients - 1), dtype=np.float64)
+    velocities, _ = integrate(powers, sample_period)
+    velocity, _ = integrate(acceleration, sample_period)
+    fitted = np.linalg.lstsq(velocities, velocity, rcond=None)[0]
+    return np.asarray(acceleration - powers @ fitted, dtype=np.float64)
+
+
+def _cut_low(acceleration: NDArray[np.float64], period: float, low_cut: float) -> NDArray[np.float64]:
+    """The acceleration without what is slower than the low cut, by its cosine transform.
+
+    A cosine transform continues the acceleration evenly beyond its ends, so the velocity oddly: its zeros at both ends
+    stay zeros, and no filter transient has to be kept beyond them lest velocity and displacement drift (which zero
+    padding needs: Boore and Bommer, 2005).
+    """
+    spectrum = fft.dct(acceleration, type=1)
+    frequency = np.arange(1, len(spectrum)) / (2 * (len(spectrum) - 1) * period)
+    spectrum[0] = 0
+    spectrum[1:] /= 1 + (low_cut / frequency) ** (2 * LOW_CUT_ORDER)
+    return np.asarray(fft.idct(spectrum, type=1), dtype=np.float64)
+
+
+def _resample(
+    where: str, acceleration: NDArray[np.float64], period: float, sample_rate: float, limit: float, samples: int
+) -> NDArray[np.float64]:
+    """The acceleration at the sample rate, (samples,), with zeros before and after it: nothing wraps round.
+
+    A Kaiser-windowed low-pass filter, applied in its polyphase form (Oppenheim and Schafer, sec. 4.7): its pass band
+    ends at 0.8 of the limit, its stop band starts at the limit.
+    """
+    ratio = Fraction(sample_rate * period).limit_denominator(FINEST)
+    if ratio == 0:
+        raise AbraceError(
+            f"{where}: sample rate {1 / period:g} Hz, expected less than {FINEST} times the rig's {sample_rate:g} Hz"
+        )
+    up, down = ratio.numerator, ratio.denominator
+    needed = -(-samples * down // up) + 1
+    padded = np.zeros(max(needed, len(acceleration)))
+    padded[: len(acceleration)] = acceleration
+    only_resampled = limit == min(1 / period, sample_rate) / 2
+    if up == down == 1 and only_resampled:
+        return padded[:samples]
+    rate = up / period
+    stopband = RESAMPLING_STOPBAND if only_resampled else STOPBAND
+    length, beta = signal.kaiserord(stopband, (1 - UNCHANGED) * limit / (rate / 2))
+    # half the kernel is a whole number of output samples, which are then dropped: no delay is left
+    delay = -(-(length // 2) // down)
+    kernel = signal.firwin(2 * delay * down + 1, (1 + UNCHANGED) / 2 * limit, window=("kaiser", beta), fs=rate)
+    motion = signal.upfirdn(up * kernel, padded, up, down)
+    return np.asarray(motion[delay : delay + samples], dtype=np.float64)

@@ -1,0 +1,240 @@
+"""The rig as one linear model: building, braces with their actuators, local modes; `rig_motion` steps it.
+
+States: floor displacements x, local modal displacements q, their velocities, and for each brace group the force f of
+one brace and the servo's integral g. Inputs: the table's acceleration w and the commands U. Outputs:
+z = [x, strokes, absolute accelerations, forces], as recorded in the paper.
+
+A brace group pushes its floor with `count * cosine * f`; its stroke is `cosine * (x_floor - x_below)` plus its share of
+the local modes. The stiffeners beside a brace are outside its load cell: they act on the floors directly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core import signals
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import LinearModel
+from abrace_core.simulation import discretize
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from numpy.typing import NDArray
+
+    from abrace_plant.rig.actuator import Actuator
+    from abrace_plant.rig.building import Building
+    from abrace_plant.rig.sensors import SensorSet
+
+
+@dataclass(frozen=True)
+class BraceGroup:
+    """Equal braces side by side below one floor.
+
+    Parameters
+    ----------
+    floor
+        The floor that they push, 1 the lowest; they stand on the floor below it (1: on the table).
+    count
+        How many braces.
+    cosine
+        Horizontal share of a brace's force and stroke.
+    stiffener_stiffness
+        Horizontal stiffness that the group's stiffeners add at its floor [N/m].
+    actuator
+        The actuator in each brace.
+    connected
+        Whether braces and stiffeners are bolted to the floor and the servo is on; a group that is not neither pushes
+        nor measures anything.
+    """
+
+    floor: int
+    count: int
+    cosine: float
+    stiffener_stiffness: float
+    actuator: Actuator
+    connected: bool = True
+
+    def direction(self, floors: int) -> NDArray[np.float64]:
+        """(floors,) 1 at the braces' floor, -1 at the floor below: x_floor - x_below."""
+        unit = np.zeros(floors)
+        unit[self.floor - 1] = 1.0
+        if self.floor > 1:
+            unit[self.floor - 2] = -1.0
+        return unit
+
+
+@dataclass(frozen=True)
+class LocalMode:
+    """A mode that the actuators excite and the table does not (torsion, a slab, the transverse direction).
+
+    Parameters
+    ----------
+    frequency, damping_ratio
+        [rad/s], of the mode alone.
+    mass
+        Modal mass [kg].
+    brace_share
+        (groups,) what a brace's stroke sees of the modal displacement; its force excites the mode by the same share.
+    accelerometer_share
+        (floors,) what each floor's accelerometer sees of the modal acceleration.
+    """
+
+    frequency: float
+    damping_ratio: float
+    mass: float
+    brace_share: tuple[float, ...]
+    accelerometer_share: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """What the shake table can do.
+
+    Parameters
+    ----------
+    peak_acceleration
+        [m/s^2].
+    peak_jerk
+        Greatest rate of the acceleration [m/s^3].
+    """
+
+    peak_acceleration: float
+    peak_jerk: float
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A building with braces on a shake table.
+
+    Parameters
+    ----------
+    name
+        What the laboratory calls it.
+    sample_rate
+        Hz.
+    table
+        Limits of the shake table.
+    building, braces, local_modes
+        The physical parts; no braces: the bare frame.
+    sensors
+        What stands between the quantities and the record.
+    storey_height
+        m, for drawing.
+    """
+
+    name: str
+    sample_rate: float
+    table: Table
+    building: Building
+    braces: tuple[BraceGroup, ...]
+    local_modes: tuple[LocalMode, ...]
+    sensors: SensorSet
+    storey_height: float = 3.0
+
+    @property
+    def floors(self) -> int:
+        """Number of floors."""
+        return self.building.floors
+
+    @property
+    def groups(self) -> int:
+        """Number of brace groups."""
+        return len(self.braces)
+
+    @property
+    def capacity(self) -> NDArray[np.float64]:
+        """(groups,) greatest force of one brace of each group [N]."""
+        return np.array([group.actuator.capacity for group in self.braces])
+
+    @property
+    def rate_limit(self) -> NDArray[np.float64]:
+        """(groups,) greatest rate of the command of one brace of each group [N/s]."""
+        return np.array([group.actuator.rate_limit for group in self.braces])
+
+    def bare_frame(self) -> Rig:
+        """The same building without braces, stiffeners and local modes."""
+        return replace(self, braces=(), local_modes=())
+
+    def disconnect(self, groups: Collection[int]) -> Rig:
+        """The same rig with some brace `groups` (the first is 1) taken off the building.
+
+        Raises
+        ------
+        AbraceError
+            If there is no such group.
+        """
+        unknown = [number for number in groups if not 1 <= number <= self.groups]
+        if unknown:
+            raise AbraceError(f"brace group {unknown[0]}: expected one of the rig's groups, 1 to {self.groups}")
+        braces = tuple(
+            replace(group, connected=group.connected and number not in groups)
+            for number, group in enumerate(self.braces, 1)
+        )
+        return replace(self, braces=braces)
+
+    @cached_property
+    def model(self) -> LinearModel:
+        """The continuous model from [w, U] to z, exact and without sensors."""
+        n, h, groups = self.floors, len(self.local_modes), self.groups
+        dofs = n + h
+        mass = np.concatenate([self.building.masses, [mode.mass for mode in self.local_modes]])
+        stiffness, damping = np.zeros((dofs, dofs)), np.zeros((dofs, dofs))
+        stiffness[:n, :n], damping[:n, :n] = self.building.stiffness, self.building.damping
+        for i, mode in enumerate(self.local_modes):
+            stiffness[n + i, n + i] = mode.mass * mode.frequency**2
+            damping[n + i, n + i] = 2 * mode.damping_ratio * mode.frequency * mode.mass
+        stroke = np.zeros((groups, dofs))
+        for j, group in enumerate(self.braces):
+            if not group.connected:
+                continue
+            direction = group.direction(n)
+            stiffness[:n, :n] += group.stiffener_stiffness * np.outer(direction, direction)
+            stroke[j, :n] = group.cosine * direction
+            stroke[j, n:] = [mode.brace_share[j] for mode in self.local_modes]
+        count = np.array([group.count for group in self.braces], dtype=np.float64)
+        lag = np.array([group.actuator.lag for group in self.braces])
+        integral = np.array([group.actuator.integral_rate for group in self.braces])
+        feedback = np.array([group.actuator.velocity_feedback for group in self.braces])
+        connected = np.array([float(group.connected) for group in self.braces])
+
+        states = 2 * dofs + 2 * groups
+        x, v = slice(0, dofs), slice(dofs, 2 * dofs)
+        f, g = slice(2 * dofs, 2 * dofs + groups), slice(2 * dofs + groups, states)
+        a, b = np.zeros((states, states)), np.zeros((states, 1 + groups))
+        a[x, v] = np.eye(dofs)
+        a[v, x] = -stiffness / mass[:, None]
+        a[v, v] = -damping / mass[:, None]
+        a[v, f] = stroke.T * count / mass[:, None]
+        b[dofs : dofs + n, 0] = -1.0
+        a[f, v] = -(feedback / lag)[:, None] * stroke
+        a[f, f] = -np.diag(1 / lag)
+        a[f, g] = np.diag(integral / lag)
+        b[f, 1:] = np.diag(connected / lag)
+        a[g, f] = -np.eye(groups)
+        b[g, 1:] = np.diag(connected)
+
+        seen = np.zeros((n, dofs))
+        seen[:, :n] = np.eye(n)
+        for i, mode in enumerate(self.local_modes):
+            seen[:, n + i] = mode.accelerometer_share
+        c, d = np.zeros((2 * n + 2 * groups, states)), np.zeros((2 * n + 2 * groups, 1 + groups))
+        c[:n, :n] = np.eye(n)
+        c[n : n + groups, x] = stroke
+        accelerations = slice(n + groups, 2 * n + groups)
+        c[accelerations] = seen @ a[v]
+        d[accelerations] = seen @ b[v]
+        d[accelerations, 0] += 1.0
+        c[2 * n + groups :, f] = np.eye(groups)
+        inputs = (signals.GROUND, *signals.command_names(groups)) if groups else (signals.GROUND,)
+        outputs = signals.response_names(n, groups) if groups else tuple(f"{k}{i + 1}" for k in "xa" for i in range(n))
+        delay = (0.0, *(group.actuator.command_delay for group in self.braces))
+        return LinearModel(a, b, c, d, inputs, outputs, input_delay=delay, provenance={"rig": self.name})
+
+    def discrete_model(self) -> LinearModel:
+        """The exact discrete model at the rig's sample rate: commands held, ground acceleration linear in between."""
+        return discretize(self.model, 1 / self.sample_rate, {signals.GROUND: "first"})

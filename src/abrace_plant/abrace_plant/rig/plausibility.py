@@ -1,0 +1,293 @@
+"""Numbers of a rig that no building has, as they come about when a number is written in another unit than asked.
+
+A number alone is seldom impossible; a ratio without dimension often is. Each rule here takes one such ratio of the
+rig's numbers (or a single number, where laboratories agree well enough) and a range so wide that no sensible rig is
+outside it, from a table-top model of three floors of 2 kg to a full-scale frame of ten storeys. A number outside its
+range is told with the units, or else the factors, that would bring it inside.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from abrace_plant.rig.model import BraceGroup, Rig
+
+G = 9.80665
+"""Standard acceleration of gravity [m/s^2]."""
+
+UNITS = {
+    "kg": {"kgf s^2/m": G, "t": 1e3, "g": 1e-3},
+    "N": {"kgf": G, "kN": 1e3, "tf": 1e3 * G},
+    "N/s": {"kgf/s": G, "kN/s": 1e3, "tf/s": 1e3 * G},
+    "N/m": {"kgf/m": G, "kgf/cm": 100 * G, "kN/m": 1e3, "tf/m": 1e3 * G, "kN/mm": 1e6},
+    "N s/m": {"kgf s/m": G, "kgf s/cm": 100 * G, "kN s/m": 1e3, "tf s/m": 1e3 * G},
+    "m/s": {"cm/s": 1e-2, "mm/s": 1e-3},
+    "m": {"cm": 1e-2, "mm": 1e-3},
+    "m/s^2": {"g": G, "cm/s^2": 1e-2, "mm/s^2": 1e-3},
+    "m/s^3": {"g/s": G, "cm/s^3": 1e-2, "mm/s^3": 1e-3},
+    "s": {"ms": 1e-3},
+    "1/s": {"1/ms": 1e3},
+    "Hz": {"kHz": 1e3},
+    "rad/s": {"Hz": 2 * np.pi},
+    "of critical": {"%": 1e-2},
+    "": {"%": 1e-2},
+}
+"""Units that people write in place of ours, and how many of ours each one is."""
+FACTORS = (G, 1e3, 1e3 * G, 1e6)
+"""By what else a number is likely to be wrong, by units converted twice; by G only where gravity is in some unit."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number as the file states it.
+
+    Parameters
+    ----------
+    key
+        Where it stands.
+    value, unit
+        What it is, in the SI unit that was asked (a key of `UNITS`).
+    power
+        With which the rule's ratio grows with the number.
+    """
+
+    key: str
+    value: float
+    unit: str
+    power: float = 1.0
+
+
+@dataclass(frozen=True)
+class _Rule:
+    ratio: float
+    least: float
+    most: float
+    meaning: str
+    """What the ratio is, with a place for its range; empty where it is the number itself."""
+    numbers: tuple[Number, ...]
+    """What the ratio is made of, the likeliest mistake first."""
+
+    def holds(self, factor: float = 1.0) -> bool:
+        return self.least <= self.ratio * factor <= self.most
+
+    def doubt(self, rules: Sequence[_Rule]) -> str:
+        """The number that is likely to be wrong, its range, and the single mistake that would explain all `rules`."""
+        causes = self._causes(rules) or self._causes([self])
+        blamed = next(iter(causes), self.numbers[0])
+        ends = [blamed.value * (end / self.ratio) ** (1 / blamed.power) for end in (self.least, self.most)]
+        unit = f" {blamed.unit}".rstrip()
+        text = f"{blamed.key}: {blamed.value:.6g}{unit}, expected {_short(min(ends))} to {_short(max(ends))}{unit}"
+        if self.meaning:
+            span = f"{_short(self.least)} to {_short(self.most)}"
+            text += f" ({self.meaning.format(span)}, not {_short(self.ratio)})"
+        questions = [f"{'it' if number is blamed else number.key} {cause}" for number, cause in causes.items()]
+        return f"{text}; is {', or '.join(questions)}?" if questions else text
+
+    def _causes(self, rules: Sequence[_Rule]) -> dict[Number, str]:
+        """For each number that alone could be the mistake, how; those that another unit explains first."""
+        units = {number: _units(number, rules) for number in self.numbers if number.power}
+        factors = {number: _factors(number, rules) for number, found in units.items() if not found}
+        return {number: found for number, found in (*units.items(), *factors.items()) if found}
+
+
+def _units(number: Number, rules: Sequence[_Rule]) -> str:
+    """The units in which a number may be written instead of ours."""
+    factors = {unit: factor for unit, factor in UNITS[number.unit].items() if _mended(number, factor, rules)}
+    named = [f"{unit} ({_short(factor)} {number.unit}".rstrip() + ")" for unit, factor in factors.items()]
+    return f"in {' or '.join(named)}" if named else ""
+
+
+def _factors(number: Number, rules: Sequence[_Rule]) -> str:
+    """By what a number may be wrong otherwise."""
+    found = []
+    likely = [factor for factor in FACTORS if G in UNITS[number.unit].values() or factor in (1e3, 1e6)]
+    for word, sign in (("small", 1), ("great", -1)):
+        factors = [_short(factor) for factor in likely if _mended(number, factor**sign, rules)]
+        found += [f"{' or '.join(factors)} times too {word}"] if factors else []
+    return ", or ".join(found)
+
+
+def _mended(number: Number, factor: float, rules: Sequence[_Rule]) -> bool:
+    """Whether all rules on a number hold once it is multiplied by a factor."""
+    return all(rule.holds(factor**one.power) for rule in rules for one in rule.numbers if one.key == number.key)
+
+
+def _short(value: float) -> str:
+    """Three digits, without the sign of a zero."""
+    return f"{float(f'{value:.3g}') + 0.0:.6g}"
+
+
+def check_units(rig: Rig, stiffness: Sequence[Number], damping: Sequence[Number]) -> None:
+    """Refuse a rig with a number that is off by its unit.
+
+    Parameters
+    ----------
+    rig
+        As the file describes it, its brace groups, local modes and floors in the file's order.
+    stiffness
+        The building's stiffness as the file states it: that of each storey, or the matrix's diagonal, or the
+        frequencies. Their powers say how a frequency grows with all of them.
+    damping
+        The bare frame's damping ratios as the file states them.
+
+    Raises
+    ------
+    AbraceError
+        `<key>: <number>, expected <range>, ...; is it in <unit>?`, for the first doubt.
+    """
+    masses = [Number(f"building.masses.{i}", mass, "kg") for i, mass in enumerate(rig.building.masses)]
+    rules = [
+        *_table(rig),
+        *_building(rig, masses, stiffness, damping),
+        *_braces(rig, _whole(masses, -1.0)),
+        *_local_modes(rig),
+        *_sensors(rig),
+    ]
+    for rule in rules:
+        if not rule.holds():
+            raise AbraceError(rule.doubt(rules))
+
+
+def _whole(numbers: Sequence[Number], power: float) -> Number:
+    """All numbers of a list as one, by its median: they share their unit."""
+    key = re.sub(r"(\.\d+)+$", "", numbers[0].key)
+    return Number(key, float(np.median([number.value for number in numbers])), numbers[0].unit, power)
+
+
+def _alike(numbers: Sequence[Number], times: float, name: str) -> Iterator[_Rule]:
+    """Rules on each number of a list against their median: one alone may be in another unit."""
+    median = np.median([number.value for number in numbers])
+    for number in numbers:
+        alone = replace(number, power=1.0)
+        yield _Rule(number.value / median, 1 / times, times, f"{{}} times the median of the {name}", (alone,))
+
+
+def _table(rig: Rig) -> Iterator[_Rule]:
+    """Rules of the numbers that stand alone, with which the others are compared."""
+    height, rate = rig.storey_height, rig.sample_rate
+    yield _Rule(height, 0.1, 10.0, "", (Number("building.storey_height", height, "m"),))
+    yield _Rule(rate, 20.0, 2e4, "", (Number("sample_rate", rate, "Hz"),))
+    peak = Number("table.peak_acceleration", rig.table.peak_acceleration, "m/s^2")
+    yield _Rule(peak.value, 1.0, 100.0, "", (peak,))
+    jerk = Number("table.peak_jerk", rig.table.peak_jerk, "m/s^3")
+    ratio, below = jerk.value / peak.value, replace(peak, power=-1.0)
+    yield _Rule(ratio, 5.0, 5000.0, "{} 1/s times table.peak_acceleration", (jerk, below))
+
+
+def _building(
+    rig: Rig, masses: Sequence[Number], stiffness: Sequence[Number], damping: Sequence[Number]
+) -> Iterator[_Rule]:
+    yield from _alike(masses, 50.0, "masses")
+    whole, height = _whole(masses, 1.0), Number("building.storey_height", rig.storey_height, "m", -3.0)
+    for mass in (rig.building.masses.min(), rig.building.masses.max()):
+        density = mass / rig.storey_height**3
+        yield _Rule(density, 5.0, 5e4, "{} kg/m^3 in a cube as high as the storey", (whole, height))
+    for number in damping:
+        yield _Rule(number.value, 5e-5, 0.4, "", (number,))
+    yield from _alike(stiffness, 200.0, "floors")
+    frequencies, _ = rig.building.modes()
+    stated = _whole(stiffness, stiffness[0].power)
+    weighed = replace(whole, power=stated.power - 1.0)
+    hertz, most = frequencies[0] / (2 * np.pi), 60.0 / rig.floors
+    yield _Rule(hertz, 0.18, most, "the bare frame's first frequency {} Hz", (stated, weighed))
+    spread, most = frequencies[-1] / frequencies[0], 20.0 + 8.0 * rig.floors**2
+    yield _Rule(spread, 1.0, most, "the bare frame's fastest frequency {} times its first", (stiffness[-1],))
+
+
+def _braces(rig: Rig, mass: Number) -> Iterator[_Rule]:
+    weight = G * rig.building.masses.sum()
+    first = rig.building.modes()[0][0]
+    for i, group in enumerate(rig.braces):
+        key, actuator = f"braces.{i}", group.actuator
+        yield _Rule(group.cosine, 0.1, 1.0, "", (Number(f"{key}.cosine", group.cosine, ""),))
+        if group.stiffener_stiffness:
+            number = Number(f"{key}.stiffener_stiffness", group.stiffener_stiffness, "N/m")
+            ratio = group.stiffener_stiffness / _storey(rig, group)
+            yield _Rule(ratio, 0.002, 50.0, "{} times the bare frame's stiffness there", (number,))
+
+        key = f"{key}.actuator"
+        capacity = Number(f"{key}.capacity", actuator.capacity, "N")
+        ratio = group.count * group.cosine * actuator.capacity / weight
+        yield _Rule(ratio, 0.001, 0.9, "the group's push {} times the building's weight", (capacity, mass))
+        rate = Number(f"{key}.rate_limit", actuator.rate_limit, "N/s")
+        yield _Rule(rate.value / capacity.value, 2.0, 2e4, "{} 1/s times the capacity", (rate,))
+        lag = Number(f"{key}.lag", actuator.lag, "s")
+        yield _Rule(lag.value, 1e-5, 0.05, "", (lag,))
+        integral = Number(f"{key}.integral_rate", actuator.integral_rate, "1/s")
+        yield _Rule(integral.value / first, 0.003, 100.0, "{} times the bare frame's first frequency", (integral,))
+        flow = Number(f"{key}.flow_limit", actuator.flow_limit, "N/s")
+        yield _Rule(flow.value / capacity.value, 2.0, 2e4, "{} 1/s times the capacity", (flow,))
+        if actuator.velocity_feedback:
+            feedback = Number(f"{key}.velocity_feedback", actuator.velocity_feedback, "N s/m", -1.0)
+            velocity = flow.value * lag.value / feedback.value
+            yield _Rule(velocity, 0.005, 10.0, "the free speed, flow_limit times lag over it, {} m/s", (feedback,))
+        stroke = Number(f"{key}.stroke_limit", actuator.stroke_limit, "m")
+        yield _Rule(stroke.value / rig.storey_height, 0.0005, 0.5, "{} times the storey's height", (stroke,))
+        stop = Number(f"{key}.stop_stiffness", actuator.stop_stiffness, "N/m")
+        ratio = stop.value * stroke.value / capacity.value
+        yield _Rule(ratio, 0.5, 3e4, "{} times capacity over stroke_limit", (stop,))
+        if actuator.command_delay:
+            delay = Number(f"{key}.command_delay", actuator.command_delay, "s")
+            yield _Rule(delay.value, 1e-5, 0.1, "", (delay,))
+
+
+def _storey(rig: Rig, group: BraceGroup) -> float:
+    """Force between a group's floor and the one below for each metre between them [N/m], in the bare frame."""
+    direction = group.direction(rig.floors)
+    return float(1 / (direction @ np.linalg.solve(rig.building.stiffness, direction)))
+
+
+def _local_modes(rig: Rig) -> Iterator[_Rule]:
+    first, whole = rig.building.modes()[0][0], rig.building.masses.sum()
+    for i, mode in enumerate(rig.local_modes):
+        key = f"local_modes.{i}"
+        frequency = Number(f"{key}.frequency", mode.frequency, "rad/s")
+        yield _Rule(frequency.value / first, 0.3, 500.0, "{} times the bare frame's first frequency", (frequency,))
+        ratio = Number(f"{key}.damping_ratio", mode.damping_ratio, "of critical")
+        yield _Rule(ratio.value, 5e-5, 0.4, "", (ratio,))
+        mass = Number(f"{key}.mass", mode.mass, "kg")
+        yield _Rule(mass.value / whole, 5e-4, 20.0, "{} times the building's mass", (mass,))
+        for name, shares in (("brace_share", mode.brace_share), ("accelerometer_share", mode.accelerometer_share)):
+            for j, share in enumerate(shares):
+                number = Number(f"{key}.{name}.{j}", share, "")
+                yield _Rule(abs(share), 0.0, 2.0, "{} of the mode's greatest displacement", (number,))
+
+
+def _sensors(rig: Rig) -> Iterator[_Rule]:
+    """Rules of the ranges against what the rig can do, and of the errors against the ranges."""
+    height = Number("building.storey_height", rig.storey_height, "m", -1.0)
+    peak = Number("table.peak_acceleration", rig.table.peak_acceleration, "m/s^2", -1.0)
+    stroke, capacity = (
+        max(
+            (
+                Number(f"braces.{i}.actuator.{name}", getattr(group.actuator, name), unit, -1.0)
+                for i, group in enumerate(rig.braces)
+            ),
+            key=lambda number: number.value,
+        )
+        for name, unit in (("stroke_limit", "m"), ("capacity", "N"))
+    )
+    ranges = (
+        ("displacement", "m", "m/s", height, 5e-4, 2.0),
+        ("stroke", "m", "m/s", stroke, 0.05, 5.0),
+        ("acceleration", "m/s^2", "m/s^3", peak, 0.08, 60.0),
+        ("force", "N", "N/s", capacity, 0.5, 5.0),
+        ("ground_acceleration", "m/s^2", "m/s^3", peak, 0.03, 10.0),
+    )
+    for kind, unit, rate, scale, least, most in ranges:
+        sensor, key = getattr(rig.sensors, kind), f"sensors.{kind}"
+        greatest = Number(f"{key}.range", sensor.range, unit)
+        yield _Rule(sensor.range / scale.value, least, most, f"{{}} times {scale.key}", (greatest, scale))
+        for error, share in (("noise", 0.2), ("bias", 0.5), ("drift", 0.1)):
+            value = getattr(sensor, error)
+            number = Number(f"{key}.{error}", value, rate if error == "drift" else unit)
+            yield _Rule(abs(value) / sensor.range, 0.0, share, "{} times the range", (number,))

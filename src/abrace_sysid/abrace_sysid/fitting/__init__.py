@@ -1,0 +1,1 @@
+"""Transfer functions and spectra to poles and residues, with their certainty."""

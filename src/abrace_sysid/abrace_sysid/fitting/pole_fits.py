@@ -1,0 +1,214 @@
+"""Poles of the table test, of the command test and of both, by a method chosen by name.
+
+maximum_likelihood  every channel, leakage and the servo's real poles in the model, with confidence intervals; the order
+                    of the table test from data, by description length
+vector_fitting      common poles of all channels of the transfer functions
+sk                  Sanathanan-Koerner iterations on the top floor's acceleration, weighted by its uncertainty
+paper               Eqs. (1) and (2) on the top floor's acceleration, unweighted, the sign in Eq. (1) mended
+
+The last two fit a ratio of polynomials of s; hold and servo's lag, which are none, are taken out before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core import signals
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import pole_table
+from abrace_sysid.fitting.curve_fit import fit_rational, fit_sanathanan_koerner, require_stable, uncertainty_weights
+from abrace_sysid.fitting.maximum_likelihood import fit_poles
+from abrace_sysid.fitting.observation import Observation, of_response, of_spectra
+from abrace_sysid.fitting.order_selection import best_order, try_orders
+from abrace_sysid.fitting.pole_estimate import PoleEstimate, PoleInterval
+from abrace_sysid.fitting.vector_fitting import modes_of, vector_fitting
+from abrace_sysid.models.consistent import slow_real_pole
+from abrace_sysid.spectra.fourier import of_run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from abrace_sysid.identification import IdentificationOptions, TestData
+    from abrace_sysid.spectra.frequency_response import FrequencyResponse
+
+FIT_METHODS = ("maximum_likelihood", "vector_fitting", "sk", "paper")
+
+
+@dataclass(frozen=True)
+class PoleFit:
+    """What a method found.
+
+    Parameters
+    ----------
+    table
+        (2 floors,) A1: the building's poles from the table test [rad/s], conjugates too, slowest first.
+    command
+        (command_order,) A2 likewise, from the command test.
+    of_model
+        One set for both inputs, with the servo's slow real pole, for the consistent model.
+    table_pairs, command_pairs, common_pairs
+        Frequency and damping of the pairs with their standard deviations; NaN where the method tells none.
+    """
+
+    table: NDArray[np.complex128]
+    command: NDArray[np.complex128]
+    of_model: NDArray[np.complex128]
+    table_pairs: tuple[PoleInterval, ...]
+    command_pairs: tuple[PoleInterval, ...]
+    common_pairs: tuple[PoleInterval, ...]
+
+
+def fit_poles_of(
+    table: TestData,
+    command: TestData,
+    floors: int,
+    options: IdentificationOptions,
+    progress: Callable[[str, float], None],
+) -> PoleFit:
+    """The poles by the method that the options name.
+
+    Parameters
+    ----------
+    table, command
+        The tests.
+    floors
+        Modes of the building.
+    options
+        `fit`, `command_order` and `servo_lag` are used.
+    progress
+        Called with what begins and the fraction done.
+
+    Raises
+    ------
+    AbraceError
+        If a fit fails, a pole is unstable, or the building's modes are not among the poles.
+    """
+    if options.fit == "maximum_likelihood":
+        return _maximum_likelihood(table, command, floors, options, progress)
+    building = _by_curve_fit(table, 2 * floors, options, floors)
+    everything = _by_curve_fit(command, options.command_order, options, floors)
+    slowest = [(one + other) / 2 for one, other in zip(building, everything[:floors], strict=True)]
+    common = _with_conjugates(np.array([*slowest, *everything[floors:]]))
+    slow = slow_real_pole(table.responses[0], common)
+    return PoleFit(
+        _with_conjugates(building),
+        _with_conjugates(everything),
+        common if slow is None else np.append(common, slow),
+        *(_without_deviation(poles) for poles in (building, everything, common)),
+    )
+
+
+def _maximum_likelihood(
+    table: TestData,
+    command: TestData,
+    floors: int,
+    options: IdentificationOptions,
+    progress: Callable[[str, float], None],
+) -> PoleFit:
+    """Each test alone, then both with one set of poles: those of the command test, of which the table shows some."""
+    top, highest = (2 * np.pi * band[1] for band in (options.table_band, options.command_band))
+    progress("maximum likelihood, table", 0.5)
+    shaken = _observations(table)
+    orders = [(pairs, reals) for pairs in (floors, floors + 1) for reals in (0, 1)]
+    trials = try_orders(shaken, table.responses[0], orders)
+    of_table = best_order(trials)
+    _require_modes(of_table, floors, table.source)
+    progress("maximum likelihood, command", 0.6)
+    pushed, pairs = _observations(command), options.command_order // 2
+    trials = try_orders(pushed, command.responses[0], [(pairs, 2)])
+    if trials[0].estimate is None:  # a servo without a slow pole within the band, or without lag
+        trials += try_orders(pushed, command.responses[0], [(pairs, 1), (pairs, 0)])
+    of_command = best_order(trials)
+    _require_modes(of_command, floors, command.source)
+
+    progress("maximum likelihood, both", 0.75)
+    modes = _upper(of_command.poles)
+    slow = _reals(of_table.poles)[:1]
+    lag = _reals(of_command.poles)
+    lag = lag[np.abs(lag) > highest][-1:]
+    shown = tuple(i for i, pole in enumerate([*modes, *slow]) if abs(pole) <= top)
+    both = np.concatenate([modes, slow, lag])
+    of_both = fit_poles([*(replace(one, poles=shown) for one in shaken), *pushed], both)
+    reals = _reals(of_both.poles)
+    return PoleFit(
+        _with_conjugates(_upper(of_table.poles)[:floors]),
+        _with_conjugates(_upper(of_command.poles)),
+        np.concatenate([_with_conjugates(_upper(of_both.poles)), reals[np.abs(reals) <= highest]]),
+        tuple(of_table.pairs()[:floors]),
+        tuple(of_command.pairs()),
+        tuple(of_both.pairs()),
+    )
+
+
+def _observations(data: TestData) -> list[Observation]:
+    """What the likelihood sees of each test: spectra with their leakage, or the response of a periodic one."""
+    if data.periodic:
+        return [of_response(one, run.source) for one, run in zip(data.responses, data.runs, strict=True)]
+    omega = data.responses[0].omega
+    band = (float(omega[0] / (2 * np.pi)), float(omega[-1] / (2 * np.pi)))
+    spectra = [of_run(run, [data.input], band).select(data.outputs) for run in data.runs]
+    return [of_spectra(one, run.source) for one, run in zip(spectra, data.runs, strict=True)]
+
+
+def _by_curve_fit(data: TestData, order: int, options: IdentificationOptions, floors: int) -> NDArray[np.complex128]:
+    """(order / 2,) upper poles of the pairs, slowest first; the slowest `floors` are the building's."""
+    measured = data.responses[0]
+    where = f"{data.source}: {options.fit} of {data.input}, order {order}"
+    if options.fit == "vector_fitting":
+        # beside the modes the servo's real poles show: the slow one and, from the table, a local mode; the lag
+        fit = vector_fitting(measured, order + (3 if data.input == signals.GROUND else 2))
+        poles = modes_of(fit, measured)[: order // 2]
+    else:
+        poles = _upper(require_stable(_ratio_of_polynomials(measured, order, options), where))
+    poles = poles[np.argsort(np.abs(poles))]
+    if len(poles) != order // 2 or len(pole_table(poles[:floors])) != floors:
+        raise AbraceError(f"{where}: {len(poles)} oscillating pairs, expected {order // 2}")
+    return np.asarray(poles)
+
+
+def _ratio_of_polynomials(
+    measured: FrequencyResponse, order: int, options: IdentificationOptions
+) -> NDArray[np.complex128]:
+    """All poles of the top floor's acceleration by Eq. (1) or by Sanathanan-Koerner iterations."""
+    accelerations = [name for name in measured.outputs if name.startswith("a")]
+    if not accelerations:
+        raise AbraceError(f"{options.fit} of {measured.input}: no acceleration among the channels, expected one")
+    shaken = measured.input == signals.GROUND
+    plain = measured.without_hold("first") if shaken else measured.without_hold("zero", options.servo_lag)
+    one = plain.select([accelerations[-1]])
+    g, sigma = one.response[:, 0], one.sigma[:, 0]
+    if options.fit == "paper":
+        return fit_rational(one.omega, g, order, order).poles()
+    return fit_sanathanan_koerner(one.omega, g, order, order, uncertainty_weights(g, sigma)).poles()
+
+
+def _require_modes(estimate: PoleEstimate, floors: int, source: str) -> None:
+    if len(estimate.pairs()) < floors:
+        raise AbraceError(f"{source}: {len(estimate.pairs())} oscillating pairs, expected at least {floors}")
+
+
+def _upper(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Of each pair the pole above the real axis, slowest first."""
+    upper = poles[poles.imag > 0]
+    return np.asarray(upper[np.argsort(np.abs(upper))])
+
+
+def _reals(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """The real poles, slowest first: the servo's integral action, if it shows, and its lag."""
+    reals = poles[poles.imag == 0]
+    return np.asarray(reals[np.argsort(np.abs(reals))])
+
+
+def _with_conjugates(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Each upper pole followed by its conjugate."""
+    return np.asarray(np.column_stack([poles, poles.conj()]).ravel())
+
+
+def _without_deviation(poles: NDArray[np.complex128]) -> tuple[PoleInterval, ...]:
+    unknown = float("nan")
+    return tuple(PoleInterval(*pair, unknown, unknown) for pair in pole_table(poles))

@@ -1,0 +1,266 @@
+"""Vector fitting: poles common to all channels of a measured transfer function (Gustavsen and Semlyen 1999).
+
+The relaxed form (Gustavsen 2006), each channel condensed by its own orthogonal factorisation (Deschrijver et al. 2008),
+so that the cost grows linearly with lines and channels. What was measured is the response of the sampled rig, which is
+a ratio of polynomials in z = exp(i w T), not in s: the fractions are 1 / (z - a) with a = exp(p T), and the hold needs
+no compensation. The servo's lag is a fast real pole.
+
+Poles that a step puts outside the unit circle are mirrored into it for the next one. The poles of the last step are
+given as they are: an unstable one is an error of `vector_fitting`, and plain to see in `fit_common_poles`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import linalg
+
+from abrace_core.errors import AbraceError
+from abrace_sysid.fitting.curve_fit import least_squares, require_stable, uncertainty_weights
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from abrace_sysid.spectra.frequency_response import FrequencyResponse
+
+ITERATIONS = 30
+
+START_ITERATIONS, START_LINES = 10, 3000
+"""Enough for poles that are only begun with."""
+
+CONVERGED = 1e-6
+"""Relative movement of every pole that ends the iterations."""
+
+START_DAMPING = 0.01
+
+HEAVY_DAMPING = 0.3
+"""Pairs damped more than that are no modes of a building: they stand for what the other poles do not say."""
+
+MORE = 3
+"""Orders beyond the least one at which starting poles are looked for."""
+
+
+@dataclass(frozen=True)
+class VectorFit:
+    """Poles and residues of a fit.
+
+    Parameters
+    ----------
+    poles
+        [rad/s]: of each pair the one above the real axis, then real ones, each slowest first. May be unstable.
+    shapes
+        (poles, channels) complex: residues of the fractions 1 / (z - a), the mode shapes of the channels.
+    strength
+        (poles,) greatest peak |residue| / (1 - |a|) in any channel, as a share of that channel's rms response.
+    error
+        Root mean square of what is left over, in standard deviations.
+    """
+
+    poles: NDArray[np.complex128]
+    shapes: NDArray[np.complex128]
+    strength: NDArray[np.float64]
+    error: float
+
+
+def vector_fitting(measured: FrequencyResponse, order: int) -> VectorFit:
+    """Common poles of all channels.
+
+    Parameters
+    ----------
+    measured
+        Hold and delays included; each channel weighs by its mean variance, every line of it alike.
+    order
+        Number of poles.
+
+    Raises
+    ------
+    AbraceError
+        If there are too few lines, or a pole is unstable.
+    """
+    fit = fit_common_poles(measured, order, _channel_weights(measured))
+    require_stable(fit.poles, f"vector fitting of order {order}")
+    return fit
+
+
+def fit_common_poles(
+    measured: FrequencyResponse, order: int, weights: NDArray[np.float64], iterations: int = ITERATIONS
+) -> VectorFit:
+    """As `vector_fitting`, unstable poles among those found as they come.
+
+    Parameters
+    ----------
+    measured, order
+        As for `vector_fitting`.
+    weights
+        (lines, channels) of squared errors.
+    iterations
+        At most.
+
+    Raises
+    ------
+    AbraceError
+        If there are too few lines, or a value is not finite.
+    """
+    lines = len(measured.omega)
+    if order < 1 or 2 * lines <= 2 * order + 2:
+        raise AbraceError(f"vector fitting: order {order} and {lines} frequency lines, expected order < lines - 1")
+    if not np.isfinite(measured.response).all():
+        raise AbraceError("vector fitting: the transfer function has a value that is not finite")
+    period = measured.sample_period
+    z = np.exp(1j * measured.omega * period)
+    root = np.sqrt(weights)
+    frequencies = np.linspace(measured.omega[0], measured.omega[-1], order // 2 + 2)[1:-1]
+    pairs = frequencies * complex(-START_DAMPING, 1.0)
+    reals = np.full(order % 2, -frequencies.mean() if len(frequencies) else -measured.omega.mean())
+    a = np.exp(np.concatenate([pairs, reals]) * period)
+    for _ in range(iterations):
+        inside = np.where(np.abs(a) > 1, 1 / a.conj(), a)
+        relocated = _relocated(z, measured.response, root, inside)
+        same = len(relocated) == len(a) and np.abs(relocated - a).max() <= CONVERGED * np.abs(a - 1).min()
+        a = relocated
+        if same:
+            break
+    basis = np.column_stack([_fractions(z, a), np.ones(lines)])
+    residues, left = np.empty((len(a), measured.response.shape[1]), dtype=np.complex128), 0.0
+    for channel, (g, weight) in enumerate(zip(measured.response.T, root.T, strict=True)):
+        coefficients = least_squares(basis * weight[:, None], (g * weight)[:, None])[:, 0]
+        left += float(np.sum(np.abs(weight * (basis @ coefficients - g)) ** 2))
+        residues[:, channel] = _complex_residues(a, coefficients[:-1])
+    size = np.sqrt(np.mean(np.abs(measured.response) ** 2, axis=0))
+    peak = np.abs(residues) / np.maximum(np.abs(1 - np.abs(a)), np.finfo(float).eps)[:, None]
+    # a negative real a, which no rig has, shows as a pole that oscillates at half the sample rate
+    poles = np.asarray(np.log(a) / period).astype(np.complex128)
+    strength = np.max(peak / np.where(size > 0, size, 1.0), axis=1)
+    return VectorFit(poles, residues, strength, float(np.sqrt(left / root.size)))
+
+
+def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0) -> NDArray[np.complex128]:
+    """Poles from which `maximum_likelihood.fit_poles` finds its own.
+
+    Parameters
+    ----------
+    measured
+        To fit by `fit_common_poles`, of the least order that shows enough oscillating poles within its band.
+    pairs
+        The strongest of these are taken.
+    reals
+        0; 1: a slow one, begun at the slowest pair's frequency (a servo's integrator); 2: and a fast one, begun at half
+        a sample's time constant (a servo's lag).
+
+    Returns
+    -------
+    NDArray
+        (pairs + reals,) [rad/s], pairs slowest first.
+
+    Raises
+    ------
+    AbraceError
+        If too few oscillating poles are found.
+    """
+    if pairs < 1 or not 0 <= reals <= 2:
+        raise AbraceError(f"starting poles: {pairs} pairs and {reals} real poles, expected 1 or more, and 0 to 2")
+    found = np.zeros(0, dtype=np.complex128)
+    measured = thinned(measured, START_LINES)
+    for order in range(2 * pairs, 2 * pairs + MORE * 2 + 1):
+        # by each line's uncertainty: good enough to begin with, and robust where a short test's peaks are biased
+        weights = uncertainty_weights(measured.response, measured.sigma)
+        fit = fit_common_poles(measured, order, weights, START_ITERATIONS)
+        found = modes_of(fit, measured)[:pairs]
+        if len(found) == pairs:
+            break
+    else:
+        raise AbraceError(
+            f"starting poles: {len(found)} oscillating poles between {measured.omega[0]:.3g} and "
+            f"{measured.omega[-1]:.3g} rad/s, expected {pairs}; a longer or stronger test, or fewer pairs, may mend it"
+        )
+    found = found[np.argsort(np.abs(found))]
+    slow_and_fast = np.array([-np.abs(found[0]), -2 / measured.sample_period])
+    return np.concatenate([found, slow_and_fast[:reals]])
+
+
+def modes_of(fit: VectorFit, measured: FrequencyResponse) -> NDArray[np.complex128]:
+    """The poles of a `fit` that are modes: stable, oscillating within the band `measured`; the strongest first."""
+    within = (fit.poles.imag > measured.omega[0]) & (fit.poles.imag < measured.omega[-1])
+    modes = np.flatnonzero(within & (fit.poles.real < 0) & (-fit.poles.real < HEAVY_DAMPING * np.abs(fit.poles)))
+    return np.asarray(fit.poles[modes[np.argsort(-fit.strength[modes], kind="stable")]])
+
+
+def thinned(measured: FrequencyResponse, lines: int) -> FrequencyResponse:
+    """The estimate `measured` at every second, third ... line, so that no more than about so many `lines` are left."""
+    chosen = slice(None, None, max(1, len(measured.omega) // lines))
+    return replace(
+        measured, omega=measured.omega[chosen], response=measured.response[chosen], sigma=measured.sigma[chosen]
+    )
+
+
+def _fractions(z: NDArray[np.complex128], a: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """(lines, order) the real combinations of 1 / (z - a) and its conjugate of each pair, 1 / (z - a) of a real a."""
+    columns: list[NDArray[np.complex128]] = []
+    for pole in a:
+        if pole.imag > 0:
+            above, below = 1 / (z - pole), 1 / (z - pole.conjugate())
+            columns += [above + below, 1j * (above - below)]
+        else:
+            columns.append(1 / (z - pole.real))
+    return np.column_stack(columns)
+
+
+def _channel_weights(measured: FrequencyResponse) -> NDArray[np.float64]:
+    """(lines, channels) 1 / mean variance of a channel; of exact responses, of a billionth of its rms.
+
+    By each line's own uncertainty a resonance, whose errors grow with it, would count little, and the pole is there.
+    """
+    size = np.sqrt(np.mean(np.abs(measured.response) ** 2, axis=0))
+    noise = np.maximum(np.sqrt(np.mean(measured.sigma**2, axis=0)), 1e-9 * size)
+    weight = np.divide(1.0, noise**2, out=np.zeros_like(noise), where=noise > 0)
+    return np.broadcast_to(weight, measured.response.shape)
+
+
+def _relocated(
+    z: NDArray[np.complex128], response: NDArray[np.complex128], root: NDArray[np.float64], a: NDArray[np.complex128]
+) -> NDArray[np.complex128]:
+    """The zeros of sigma(z) = d + sum c / (z - a), where sigma times the response has the poles a: the new poles."""
+    fractions = np.column_stack([_fractions(z, a), np.ones(len(z))])
+    order = fractions.shape[1] - 1
+    scale = np.linalg.norm(fractions, axis=0)
+    fractions = fractions / scale
+    condensed: list[NDArray[np.float64]] = []
+    for g, weight in zip(response.T, root.T, strict=True):
+        weighted = fractions * weight[:, None]
+        columns = np.hstack([weighted, -weighted * g[:, None]])
+        r = np.asarray(np.linalg.qr(np.vstack([columns.real, columns.imag]), mode="r"), dtype=np.float64)
+        condensed.append(r[order + 1 :, order + 1 :])
+    rows = np.vstack(condensed)
+    # the relaxed condition: sigma is 1 on average over the lines, and weighs as much as the rest
+    importance = np.linalg.norm(root * response) / len(z)
+    condition = importance * fractions.real.sum(axis=0)
+    right = np.concatenate([np.zeros(len(rows)), [importance * len(z)]])
+    solution = np.linalg.lstsq(np.vstack([rows, condition]), right, rcond=None)[0] / scale
+    c, d = solution[:-1], solution[-1]
+    d = np.copysign(max(abs(d), 1e-8), d)
+    blocks, drive = [], []
+    for pole in a:
+        if pole.imag > 0:
+            blocks.append(np.array([[pole.real, pole.imag], [-pole.imag, pole.real]]))
+            drive += [2.0, 0.0]
+        else:
+            blocks.append(np.array([[pole.real]]))
+            drive.append(1.0)
+    state_matrix = linalg.block_diag(*blocks) - np.outer(drive, c) / d
+    zeros = np.asarray(linalg.eigvals(state_matrix), dtype=np.complex128)
+    upper, real = zeros[zeros.imag > 0], zeros[zeros.imag == 0]
+    return np.concatenate([upper[np.argsort(np.abs(np.log(upper)))], real[np.argsort(-np.abs(real))]])
+
+
+def _complex_residues(a: NDArray[np.complex128], coefficients: NDArray[np.float64]) -> NDArray[np.complex128]:
+    residues, column = np.empty(len(a), dtype=np.complex128), 0
+    for i, pole in enumerate(a):
+        if pole.imag > 0:
+            residues[i] = coefficients[column] + 1j * coefficients[column + 1]
+            column += 2
+        else:
+            residues[i] = coefficients[column]
+            column += 1
+    return residues

@@ -1,0 +1,1 @@
+"""Poles and residues to state-space models, superposed, consistent or reduced."""

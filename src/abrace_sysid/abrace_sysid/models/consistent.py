@@ -1,0 +1,142 @@
+"""The consistent model that the paper lacked: one set of poles for every input, each motion of the rig once.
+
+Eqs. (6) and (7) give the superposed model each building pole three times, identified in three places. The command
+controls none of the table's copies, and in closed loop the prediction comes about only because the parts cancel: what
+they differ by rings. Here every input has the same poles, those that its band shows, and all channels their numerators
+in absolute weights (`realize`); the inputs' copies of a pole are then merged by balanced truncation to as many states
+as there are poles.
+
+The force under zero command needs one pole that curve fits of accelerations miss: that of the servo's slow integral
+action, real and heavily damped. `slow_real_pole` finds it in the table test.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import optimize
+
+from abrace_core.errors import AbraceError
+from abrace_sysid.fitting.curve_fit import least_squares, require_stable
+from abrace_sysid.models.realization import modal_states, realize, sampled_states, superpose
+from abrace_sysid.models.reduction import Reduction, balanced_truncation, typical_scales
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_core.linear_model import LinearModel
+    from abrace_sysid.spectra.frequency_response import FrequencyResponse
+
+
+def realize_together(
+    measured: Sequence[FrequencyResponse], poles: NDArray[np.complex128], delays: Mapping[str, float]
+) -> LinearModel:
+    """One model for several inputs with common poles, each input driving its own copy of them.
+
+    An input gets the poles up to the highest frequency at which its response was measured; what lies beyond shows as
+    the direct term. Direct terms are kept as the data give them.
+
+    Parameters
+    ----------
+    measured
+        One response for each input, or several of the same input (repeated tests), which are fitted together.
+    poles
+        [rad/s], stable, real or in conjugate pairs, all distinct.
+    delays
+        Of each input [s]; 0 if not named.
+
+    Returns
+    -------
+    LinearModel
+        Continuous; inputs in the order in which `measured` names them first, outputs likewise.
+
+    Raises
+    ------
+    AbraceError
+        If a pole is unstable, or an input's band shows no pole.
+    """
+    where = "consistent model"
+    require_stable(poles, where)
+    inputs = tuple(dict.fromkeys(response.input for response in measured))
+    outputs = tuple(dict.fromkeys(name for response in measured for name in response.outputs))
+    parts = []
+    for name in inputs:
+        same = [response for response in measured if response.input == name]
+        highest = max(float(response.omega[-1]) for response in same)
+        shown = poles[np.abs(poles) <= highest]
+        if not len(shown):
+            raise AbraceError(f"{where}: no pole up to {highest:.4g} rad/s, where the response to {name} ends")
+        parts.append(realize(same, shown, delays.get(name, 0.0)))
+    return superpose(parts, inputs, outputs)
+
+
+def consistent_model(
+    measured: Sequence[FrequencyResponse],
+    poles: NDArray[np.complex128],
+    delays: Mapping[str, float],
+    band: tuple[float, float],
+) -> Reduction:
+    """The model for prediction: numerators of all channels and inputs over common poles, copies merged.
+
+    Parameters
+    ----------
+    measured, poles, delays
+        As in `realize_together`.
+    band
+        [Hz] of the typical motion that sets the balancing units.
+
+    Returns
+    -------
+    Reduction
+        Its model has as many states as there are poles, and nearly these poles. With fewer (`balanced_truncation` of
+        `realize_together`) the servo's slow pole is the first to go, then local modes.
+    """
+    whole = realize_together(measured, poles, delays)
+    merged = balanced_truncation(whole, len(poles), typical_scales(whole, band))
+    about = {"states": f"consistent, one for each of {len(poles)} common poles"}
+    return replace(merged, model=replace(merged.model, provenance=about))
+
+
+def slow_real_pole(measured: FrequencyResponse, poles: NDArray[np.complex128], delay: float = 0.0) -> float | None:
+    """The real pole which, beside known ones, explains most of a response: that of the servo's integral action.
+
+    Use the table test: over a wide band a real pole would make up for what the model class lacks at high frequency.
+
+    Parameters
+    ----------
+    measured
+        From one input; the brace forces should be among its channels.
+    poles
+        [rad/s], the known ones; those beyond the response's band are left out.
+    delay
+        Of the input [s].
+
+    Returns
+    -------
+    float or None
+        [rad/s], negative. None if no pole within the band lowers the error by more than its coefficients would by
+        chance (Schwarz 1978).
+    """
+    known = poles[np.abs(poles) <= measured.omega[-1]]
+    noise = np.sqrt(np.mean(measured.sigma**2, axis=0))
+    noise = np.maximum(noise, 1e-9 * np.sqrt(np.mean(np.abs(measured.response) ** 2, axis=0)))  # of exact responses
+
+    def misfit(with_poles: NDArray[np.complex128]) -> float:
+        basis = sampled_states(modal_states(with_poles, measured.input, delay), measured)
+        left_over = basis @ least_squares(basis, measured.response) - measured.response
+        return float(np.log(np.sum(np.abs(left_over / noise) ** 2)))
+
+    def misfit_of(exponent: float) -> float:
+        return misfit(np.append(known, -np.exp(exponent)))
+
+    bounds = np.log([measured.omega[0], measured.omega[-1]])
+    best = optimize.minimize_scalar(misfit_of, bounds=tuple(bounds), method="bounded", options={"xatol": 1e-3})
+    values, added = 2 * measured.response.size, len(measured.outputs) + 1
+    at_an_end = min(best.x - bounds[0], bounds[1] - best.x) < 0.01
+    if at_an_end or values * (misfit(known) - best.fun) < added * np.log(values):
+        return None
+    return -float(np.exp(best.x))

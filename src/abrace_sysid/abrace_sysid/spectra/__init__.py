@@ -1,0 +1,1 @@
+"""Time histories to transfer functions and their noise."""

@@ -1,0 +1,152 @@
+"""Discrete Fourier transforms of a whole recorded test: what transfer functions and a likelihood are computed from.
+
+Of the sampled rig, Y(k) = G(k) U(k) + T(k) + V(k) at every line k: U the inputs from each sample on, T the transient
+(leakage: what the record's ends do not have in common), V the noise (Pintelon and Schoukens 2012, sec. 2.6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import fft
+
+from abrace_core.errors import AbraceError
+from abrace_core.run import Run
+from abrace_sysid.spectra.local_regression import least_half_width
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+ORDER = 2
+"""Of the numerators' and transients' polynomials in local rational fits: as good as higher ones, with less noise."""
+
+LEAST_BANDWIDTH = 0.22
+"""2 zeta omega [rad/s] of the paper's first mode: 7.4 rad/s and 1.5 % damping."""
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Transforms of one test's inputs and outputs within a band.
+
+    Parameters
+    ----------
+    inputs, outputs
+        Names.
+    omega
+        (lines,) [rad/s], consecutive lines of the whole record, rising.
+    excitation
+        (lines, inputs) complex: transforms of the inputs over the square root of the samples.
+    outputs_spectrum
+        (lines, channels) complex: of the outputs, in the same scale.
+    sample_period
+        Seconds.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    omega: NDArray[np.float64]
+    excitation: NDArray[np.complex128]
+    outputs_spectrum: NDArray[np.complex128]
+    sample_period: float
+
+    def select(self, outputs: Sequence[str]) -> Spectra:
+        """The same spectra with only these outputs, in this order."""
+        columns = [self.outputs.index(name) for name in outputs]
+        return replace(self, outputs=tuple(outputs), outputs_spectrum=self.outputs_spectrum[:, columns])
+
+
+def of_run(run: Run, inputs: Sequence[str], band: tuple[float, float]) -> Spectra:
+    """The spectra of a test.
+
+    Parameters
+    ----------
+    run
+        The test.
+    inputs
+        Names of all inputs that were excited.
+    band
+        Lowest and highest frequency [Hz]; the inputs must be excited throughout.
+
+    Raises
+    ------
+    AbraceError
+        If a name is unknown or the band has no line.
+    """
+    lines, omega = lines_within(run, len(run.outputs), band)
+    excitation = transform(np.column_stack([held_input(run, name) for name in inputs]))[lines]
+    return Spectra(tuple(inputs), run.names, omega, excitation, transform(run.outputs)[lines], run.sample_period)
+
+
+def automatic_half_width(seconds: float, inputs: int = 1, bandwidth: float = LEAST_BANDWIDTH) -> int:
+    """Half-width [lines] of the local rational method's windows for a record of some length.
+
+    More lines average more noise, but one pole must do for the whole window: it reaches 6 half-power bandwidths of the
+    least damped mode to either side, there is little to gain beyond 20 lines, and fewer than 4 to an input are too few.
+
+    Parameters
+    ----------
+    seconds
+        Length of the record.
+    inputs
+        How many were excited.
+    bandwidth
+        2 zeta omega [rad/s] of the least damped mode expected.
+    """
+    reach = 6 * bandwidth * seconds / (2 * np.pi)
+    return int(np.clip(round(reach), least_half_width(ORDER, inputs) + 3, 20))
+
+
+def all_of(run: Run | Sequence[Run]) -> tuple[Run, ...]:
+    """One `run` or several, of the same rig and sample period, as a tuple."""
+    runs = (run,) if isinstance(run, Run) else tuple(run)
+    if not runs:
+        raise AbraceError("transfer functions: no test, expected at least one")
+    for other in runs[1:]:
+        for what, one, two in (
+            ("channels", runs[0].names, other.names),
+            ("sample period", runs[0].sample_period, other.sample_period),
+        ):
+            if one != two:
+                raise AbraceError(f"{other.source}: {what} {two}, but {one} in {runs[0].source}: expected the same rig")
+    return runs
+
+
+def held_input(run: Run, name: str) -> NDArray[np.float64]:
+    """(samples,) the input `name` of `run`: the ground acceleration at each sample, or the command from it on."""
+    if name in run.command_names:
+        return run.command_from_here[:, run.command_names.index(name)]
+    return run.channels([name])[:, 0]
+
+
+def lines_within(run: Run, samples: int, band: tuple[float, float]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Numbers and angular frequencies [rad/s] of the lines of a transform within a band.
+
+    Parameters
+    ----------
+    run
+        The test: its sample period, and its name for the error.
+    samples
+        Length of the transform.
+    band
+        Lowest and highest frequency [Hz].
+
+    Raises
+    ------
+    AbraceError
+        If there is none.
+    """
+    frequency = np.arange(samples // 2) / (samples * run.sample_period)
+    lines = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]) & (frequency > 0))
+    if not len(lines):
+        raise AbraceError(f"{run.source}: no frequency line between {band[0]:g} and {band[1]:g} Hz")
+    return lines, 2 * np.pi * frequency[lines]
+
+
+def transform(series: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """(lines, columns) transform of a `series` (samples, columns) without its means, over the root of its length."""
+    transformed: NDArray[np.complex128] = fft.rfft(series - series.mean(axis=0), axis=0)
+    return transformed / np.sqrt(len(series))

@@ -1,0 +1,247 @@
+"""Transfer functions from periodic tests (multisines), with the levels of noise and of nonlinear distortion.
+
+Whole periods of the steady response are transformed together. All that a periodic input makes, distortion included,
+then stands at every P-th line, where P is the number of periods; the P - 1 lines in between hold noise and what is left
+of the transient. A polynomial through them takes the transient out of the line in their middle, and what is left over
+is noise: the fast local polynomial method (Pintelon and Schoukens 2012, sec. 7.3). Of the lines of the period, those
+that an input excites give its transfer functions, and those that none excites show nonlinear distortion.
+
+The input itself says which lines and which samples those are: the period is the lag at which it repeats itself, the
+test ends where it ends to do so. That is exact for a command, and safe for an acceleration that was measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import fft, ndimage, signal
+
+from abrace_core import signals
+from abrace_core.errors import AbraceError
+from abrace_sysid.spectra.frequency_response import FrequencyResponse, held_input
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from abrace_core.run import Run
+
+HALF_WIDTH = 2
+"""Lines of the period on either side up to which the lines in between carry the transient's polynomial."""
+
+ORDER = 4
+"""Of the transient's polynomial at most."""
+
+EDGE = 50
+"""Samples by which the ends of the periodic part of an input may be missed."""
+
+ALIKE = 0.05
+"""Share of its mean square by which an input may differ from itself a period later."""
+
+LEAST_CORRELATION = 0.4
+"""Of an input with itself a period later; two periods between long rests have 0.5."""
+
+LEAST_AMPLITUDE = 0.01
+"""Of the strongest line: an input's weaker lines do not excite."""
+
+CERTAIN = 5.0
+"""Times the noise that an excited line stands out at least."""
+
+
+@dataclass(frozen=True)
+class PeriodicResponse:
+    """What a periodic test says of the response to one input.
+
+    The levels are root mean squares in each channel's unit, of as many lines as the input excites: in a linear test
+    `even_distortion` and `odd_distortion` are as low as `noise`, which they include.
+
+    Parameters
+    ----------
+    frequency_response
+        At the excited lines; the standard deviation is that of the noise.
+    periods
+        That were used.
+    period_samples
+        Samples in a period.
+    level
+        (channels,) of the response at the excited lines.
+    noise
+        (channels,) of the noise at a line of the period.
+    even_distortion, odd_distortion
+        (channels,) of the even and the odd lines that no input excites; NaN where there is none.
+    """
+
+    frequency_response: FrequencyResponse
+    periods: int
+    period_samples: int
+    level: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    even_distortion: NDArray[np.float64]
+    odd_distortion: NDArray[np.float64]
+
+
+def periodic_response(
+    run: Run, input_name: str, band: tuple[float, float], period_samples: int | None = None, dropped: int = 1
+) -> PeriodicResponse:
+    """Transfer functions from a periodic input at the lines that it excites.
+
+    Other inputs may run at the same time with the same period, on other lines.
+
+    Parameters
+    ----------
+    run
+        The test, its samples consecutive.
+    input_name
+        The periodic input.
+    band
+        Lowest and highest frequency [Hz].
+    period_samples
+        Samples in a period; None: the longest that any input is found to have. (Even lines alone repeat themselves
+        after half a period, in which none is left out: give the whole.)
+    dropped
+        Periods left out at the beginning, at least 1: until the slowest mode has forgotten that the test began.
+
+    Raises
+    ------
+    AbraceError
+        If the input is not periodic, too few periods are left, or another input excites the same lines.
+    """
+    if dropped < 1:
+        raise AbraceError(f"periodic response: {dropped} periods dropped, expected at least 1")
+    names = (input_name, *(name for name in (signals.GROUND, *run.command_names) if name != input_name))
+    inputs = np.column_stack([held_input(run, name) for name in names])
+    period_samples, periods, last, repeating = _whole_periods(run.source, names, inputs, period_samples, dropped)
+    recorded = np.hstack([inputs, run.outputs])[last - periods * period_samples : last]
+    spectra = fft.fft(recorded, axis=0) * (np.sqrt(2) / len(recorded))
+
+    frequency = np.arange(1, (period_samples + 1) // 2) / (period_samples * run.sample_period)
+    lines = 1 + np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]))
+    if not len(lines):
+        raise AbraceError(f"{run.source}: no line of the period between {band[0]:g} and {band[1]:g} Hz")
+    steady, left_over, uncertainty = _without_transient(spectra, lines, periods)
+    count = len(names)
+    noise = np.sqrt(np.mean(np.abs(left_over) ** 2, axis=1)) * uncertainty
+    least = np.maximum(
+        CERTAIN * np.sqrt(np.mean(noise[:, :count] ** 2, axis=0)),
+        LEAST_AMPLITUDE * np.abs(spectra[periods::periods, :count]).max(axis=0),
+    )
+    exciting = (np.abs(steady[:, :count]) > least) & repeating
+    excited = exciting[:, 0]
+    if not excited.any():
+        raise AbraceError(f"{run.source}: {input_name} excites no line between {band[0]:g} and {band[1]:g} Hz")
+    shared = np.argwhere(exciting[:, 1:] & excited[:, None])
+    if len(shared):
+        raise AbraceError(
+            f"{run.source}: {input_name} and {names[1 + shared[0, 1]]} both excite the line at "
+            f"{frequency[lines[shared[0, 0]] - 1]:.4g} Hz, expected inputs on different lines"
+        )
+
+    excitation, outputs = steady[excited, :1], steady[excited, count:]
+    response = outputs / excitation
+    # the error of a line is that of the outputs less the response to the error of the measured input
+    errors = left_over[excited][:, :, count:] - response[:, None] * left_over[excited][:, :, :1]
+    sigma = np.sqrt(np.mean(np.abs(errors) ** 2, axis=1)) * uncertainty / np.abs(excitation)
+    quiet = ~exciting.any(axis=1)
+    method = f"multisine, {periods} periods of {period_samples} samples, {dropped} dropped"
+    omega = 2 * np.pi * frequency[lines[excited] - 1]
+
+    def level(which: NDArray[np.bool_], amplitudes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(channels,) root mean square of as many lines as are excited, each as strong as `which` are on average."""
+        if not which.any():
+            return np.full(amplitudes.shape[1] - count, np.nan)
+        power = np.mean(amplitudes[which, count:] ** 2, axis=0) * np.count_nonzero(excited)
+        return np.asarray(np.sqrt(power))
+
+    return PeriodicResponse(
+        FrequencyResponse(input_name, run.names, omega, response, sigma, run.sample_period, method),
+        periods,
+        period_samples,
+        level(excited, np.abs(steady)),
+        level(excited, noise),
+        level(quiet & (lines % 2 == 0), np.abs(steady)),
+        level(quiet & (lines % 2 == 1), np.abs(steady)),
+    )
+
+
+def find_period(excitation: NDArray[np.float64]) -> int | None:
+    """The samples after which a signal repeats itself, or None.
+
+    It is the lag at which the correlation of the signal with itself, after it has first fallen below zero, is greatest.
+
+    Parameters
+    ----------
+    excitation
+        (samples,) of mean zero, rest before and after included.
+    """
+    length = fft.next_fast_len(2 * len(excitation), real=True)
+    correlation = fft.irfft(np.abs(fft.rfft(excitation, length)) ** 2, length)[: len(excitation)]
+    negative = np.flatnonzero(correlation < 0)
+    if not len(negative):
+        return None
+    lag = int(negative[0] + np.argmax(correlation[negative[0] :]))
+    return lag if _repeats(excitation, lag) else None
+
+
+def _whole_periods(
+    source: str, names: tuple[str, ...], inputs: NDArray[np.float64], period_samples: int | None, dropped: int
+) -> tuple[int, int, int, list[bool]]:
+    """Samples in a period, periods to use, the sample after them, and which inputs repeat themselves."""
+    flattened = signal.detrend(inputs, axis=0)
+    if period_samples is None:
+        period_samples = max(find_period(excitation) or 0 for excitation in flattened.T)
+    repeating = [_repeats(excitation, period_samples) for excitation in flattened.T]
+    if not repeating[0]:
+        found = f"after {period_samples} samples" if period_samples else "after any time"
+        raise AbraceError(f"{source}: {names[0]} does not repeat itself {found}, expected a periodic input")
+    first, last = _periodic_part(flattened[:, repeating], period_samples)
+    periods = max(0, last - first + 2 * EDGE) // period_samples - dropped
+    if periods < 2:
+        raise AbraceError(
+            f"{source}: {names[0]} lasts {max(0, last - first)} samples with a period of {period_samples}, "
+            f"expected at least {2 + dropped} periods, of which {dropped} dropped"
+        )
+    return period_samples, periods, last, repeating
+
+
+def _repeats(excitation: NDArray[np.float64], period: int) -> bool:
+    """Whether a signal, rest before and after included, is alike after a period for at least two periods."""
+    if not 0 < period < len(excitation):
+        return False
+    before, after = excitation[:-period], excitation[period:]
+    return bool(before @ after > LEAST_CORRELATION * np.sqrt((before @ before) * (after @ after)))
+
+
+def _periodic_part(inputs: NDArray[np.float64], period: int) -> tuple[int, int]:
+    """First sample, and the one after the last, of the part in which all inputs (samples, inputs) repeat themselves."""
+    first, last = 0, len(inputs)
+    for excitation in inputs.T:
+        before, after = excitation[:-period], excitation[period:]
+        changed = ndimage.uniform_filter1d((after - before) ** 2, EDGE, mode="nearest")
+        parts, count = ndimage.label(changed < ALIKE * (before @ before) / len(before))
+        if not count:
+            return 0, 0
+        # at rest an input is alike as well, but does not move
+        moves = ndimage.sum_labels(before * after, parts, np.arange(1, count + 1))
+        (part,) = ndimage.find_objects(parts)[int(np.argmax(moves))]
+        first, last = max(first, part.start), min(last, part.stop + period)
+    return first, last
+
+
+def _without_transient(
+    spectra: NDArray[np.complex128], lines: NDArray[np.int64], periods: int
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128], float]:
+    """Steady spectra at lines of the period, what is left over beside them, and the factor from that to their error.
+
+    Shapes (lines, channels) and (lines, lines in between, channels).
+    """
+    offsets = np.arange(-HALF_WIDTH * periods, HALF_WIDTH * periods + 1)
+    offsets = offsets[offsets % periods != 0]
+    order = min(ORDER, len(offsets) - 2)
+    q, r = np.linalg.qr((offsets / offsets.max())[:, None] ** np.arange(order + 1))
+    beside = spectra[(lines[:, None] * periods + offsets) % len(spectra)]
+    at_line = np.linalg.solve(r, q.T)[0]
+    steady = spectra[lines * periods] - np.einsum("j,ljc->lc", at_line, beside)
+    left_over = beside - np.einsum("jk,lkc->ljc", q @ q.T, beside)
+    freedom = 1 - (order + 1) / len(offsets)
+    return steady, left_over, float(np.sqrt((1 + at_line @ at_line) / freedom))

@@ -1,0 +1,147 @@
+"""Transfer functions by Welch's method: averages over overlapping windowed pieces (Bendat and Piersol 2010, ch. 6).
+
+The usual "FFT technique". Its pieces are shorter than the record, so that leakage at lightly damped modes, not noise,
+is its error; it stands here to be compared with.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from scipy import fft, signal
+
+from abrace_core.errors import AbraceError
+from abrace_sysid.spectra.fourier import all_of, held_input, lines_within
+from abrace_sysid.spectra.transfer_function import FrequencyResponse
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_core.run import Run
+
+Estimator = Literal["H1", "H2", "Hv"]
+
+
+def welch(
+    run: Run | Sequence[Run],
+    input_name: str,
+    band: tuple[float, float],
+    segment: int = 32768,
+    estimator: Estimator = "H1",
+    window: str = "hann",
+    overlap: float = 0.5,
+) -> FrequencyResponse:
+    """Transfer functions by Welch's method.
+
+    Parameters
+    ----------
+    run
+        The test, or repeated ones, of any length: all their pieces are averaged.
+    input_name
+        The input that was excited. Another that is excited with it, uncorrelated, counts as noise.
+    band
+        Lowest and highest frequency [Hz].
+    segment
+        Samples in each averaged piece.
+    estimator
+        "H1": noise in the outputs; "H2": in the input; "Hv": in both, the geometric mean.
+    window
+        A name that scipy.signal.get_window knows.
+    overlap
+        Of neighbouring pieces, 0 to less than 1.
+
+    Raises
+    ------
+    AbraceError
+        If the tests have fewer than two segments, or an option is not one of those above.
+    """
+    runs = all_of(run)
+    samples = sum(len(each.outputs) for each in runs)
+    source = " and ".join(each.source for each in runs)
+    if not (2 <= segment <= samples // 2 and all(segment <= len(each.outputs) for each in runs)):
+        raise AbraceError(f"{source}: segments of {segment} in {samples} samples, expected 2 to {samples // 2}")
+    if estimator not in ("H1", "H2", "Hv"):
+        raise AbraceError(f"Welch's method: estimator {estimator!r}, expected 'H1', 'H2' or 'Hv'")
+    if not 0 <= overlap < 1:
+        raise AbraceError(f"Welch's method: overlap {overlap:g}, expected 0 to less than 1")
+    try:
+        taper = signal.get_window(window, segment)
+    except ValueError as cause:
+        raise AbraceError(f"Welch's method: window {window!r}, expected one of scipy.signal.get_window") from cause
+    lines, omega = lines_within(runs[0], segment, band)
+    shared = int(overlap * segment)
+
+    power, cross, outputs, averages = _averaged(runs, input_name, lines, taper, segment - shared)
+    coherence = _coherence(power, cross, outputs)
+    response = cross / power
+    sigma = np.sqrt((1 - coherence) * outputs / power / max(averages - 1, 1))
+    if estimator != "H1":
+        excess = np.sqrt(coherence) if estimator == "Hv" else coherence
+        ratio = np.divide(1.0, excess, out=np.full_like(excess, np.inf), where=excess > 0)
+        response, sigma = response * ratio, sigma * ratio
+    method = f"Welch, {estimator}, {window}, overlap {overlap:g}, {segment} points"
+    return FrequencyResponse(
+        input_name, runs[0].names, omega, response, sigma, runs[0].sample_period, method, coherence
+    )
+
+
+def coherence_of(
+    run: Run, input_name: str, band: tuple[float, float], segment: int
+) -> tuple[NDArray[np.float64], float]:
+    """(lines, channels) coherence of a test's outputs with an input, Hann window and half overlap, and the averages.
+
+    Parameters
+    ----------
+    run
+        The test.
+    input_name
+        The input.
+    band
+        Lowest and highest frequency [Hz].
+    segment
+        Samples in each averaged piece.
+    """
+    lines, _ = lines_within(run, segment, band)
+    taper = signal.get_window("hann", segment)
+    power, cross, outputs, averages = _averaged((run,), input_name, lines, taper, segment // 2)
+    return _coherence(power, cross, outputs), averages
+
+
+def _averaged(
+    runs: tuple[Run, ...], input_name: str, lines: NDArray[np.int64], taper: NDArray[np.float64], step: int
+) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64], float]:
+    """Sums of the input's power (lines, 1), the cross spectra and the outputs' powers (lines, channels); averages."""
+    segment, averages = len(taper), 0.0
+    power = np.zeros((len(lines), 1))
+    outputs = np.zeros((len(lines), len(runs[0].names)))
+    cross = np.zeros(outputs.shape, dtype=np.complex128)
+    for run in runs:
+        recorded = np.column_stack([held_input(run, input_name), run.outputs])
+        starts = range(0, len(recorded) - segment + 1, step)
+        for start in starts:
+            piece = recorded[start : start + segment]
+            spectrum = fft.rfft((piece - piece.mean(axis=0)) * taper[:, None], axis=0)[lines]
+            power += np.abs(spectrum[:, :1]) ** 2
+            outputs += np.abs(spectrum[:, 1:]) ** 2
+            cross += spectrum[:, :1].conj() * spectrum[:, 1:]
+        averages += _independent(len(starts), taper, step)
+    return power, cross, outputs, averages
+
+
+def _coherence(
+    power: NDArray[np.float64], cross: NDArray[np.complex128], outputs: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    scale = power * outputs
+    return np.divide(np.abs(cross) ** 2, scale, out=np.zeros_like(scale), where=scale > 0).clip(0, 1)
+
+
+def _independent(pieces: int, taper: NDArray[np.float64], step: int) -> float:
+    """How many independent pieces overlapping ones are worth (Welch 1967)."""
+    correlation = [
+        (1 - apart / pieces) * (taper[: -apart * step] @ taper[apart * step :] / (taper @ taper)) ** 2
+        for apart in range(1, min(pieces, -(-len(taper) // step)))
+    ]
+    return float(pieces / (1 + 2 * sum(correlation)))

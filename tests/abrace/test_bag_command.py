@@ -1,0 +1,98 @@
+"""`abrace bag`: writes what it says, and says in one line what is wrong."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from abrace.cli import main
+from abrace_bags import BagWriter
+from abrace_bags.mcap.attachments import file_attachments
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+DEFINITION = "uint64 sequence\nfloat64 force\n"
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    (tmp_path / "lqg3.yaml").write_text("storeys: 3\n")
+    attached = file_attachments([tmp_path / "lqg3.yaml"])
+    with BagWriter(tmp_path / "bag", {"rig": "ncree"}, attachments=attached) as bag:
+        topic = bag.add_topic("/force", "test_msgs/msg/Force", DEFINITION, "")
+        for k in (0, 1, 2, 5):
+            bag.write(topic, b"\0\1\0\0" + np.uint64(k).tobytes() + np.float64(k / 3).tobytes(), 10**9 * k, 10**9 * k)
+    return tmp_path / "bag"
+
+
+def test_info_tells_topics_gaps_and_facts(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bag", "info", str(bag)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (row,) = (line.split() for line in lines if line.startswith("/force"))
+    assert row == ["/force", "test_msgs/msg/Force", "4", "0.60", "1", "2", "0"]
+    assert "rig: ncree" in lines
+    assert "attachment lqg3.yaml: 11 bytes" in lines
+    assert any(line.startswith("5.000 s from 1970-01-01") for line in lines)
+
+
+def test_info_of_a_cut_off_bag_warns(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = bag / "bag_0.mcap"
+    path.write_bytes(path.read_bytes()[:-40])
+    assert main(["bag", "info", str(bag)]) == 0
+    assert "WARNING: " in capsys.readouterr().out
+
+
+def test_a_reader_who_has_had_enough_is_no_error(bag: Path) -> None:
+    program = "import sys; from abrace.cli import main; sys.exit(main())"
+    command = f"set -o pipefail; '{sys.executable}' -c '{program}' bag info '{bag}'"
+    for end, said in (("| true", b""), ("| head -n 1", b"1 file")):
+        environment = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+        ran = subprocess.run(["bash", "-c", f"{command} {end}"], capture_output=True, check=False, env=environment)
+        assert (ran.returncode, ran.stderr) == (0, b"")
+        assert said in ran.stdout
+
+
+@pytest.mark.parametrize(
+    ("action", "topics", "begin"),
+    [("csv", ["force"], b"log_time"), ("mat", [], b"MATLAB 5.0"), ("plot", ["/force"], b"\x89PNG")],
+)
+def test_file_is_written(bag: Path, tmp_path: Path, action: str, topics: list[str], begin: bytes) -> None:
+    output = tmp_path / "new/file"
+    assert main(["bag", action, str(bag), *topics, "--output", str(output)]) == 0
+    assert output.read_bytes().startswith(begin)
+
+
+def test_topic_whose_name_has_no_slash_is_found(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        for name in ("imu", "/force"):
+            topic = bag.add_topic(name, "test_msgs/msg/Force", DEFINITION, "")
+            bag.write(topic, b"\0\1\0\0" + bytes(16), 1, 1)
+    for name in ("imu", "force", "/force"):
+        assert main(["bag", "csv", str(tmp_path / "bag"), name, "--output", str(tmp_path / "out.csv")]) == 0
+    assert main(["bag", "csv", str(tmp_path / "bag"), "/imu", "--output", str(tmp_path / "out.csv")]) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["csv", "{bag}", "/other", "--output", "x"], "no topic /other in it, expected one of /force"),
+        (["info", "{bag}x"], "no such bag"),
+        (["info", "n" * 5000], "File name too long"),
+        (["mat", "{bag}", "--output", "{bag}/bag_0.mcap/x"], "cannot write"),
+        (["csv", "{bag}", "force", "--output", "/"], "cannot write /"),
+        (["mat", "{bag}", "--output", ""], "cannot write ."),
+    ],
+)
+def test_wrong_input_is_one_line_and_exit_code_2(
+    bag: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], complaint: str
+) -> None:
+    assert main(["bag", *(argument.format(bag=bag) for argument in arguments)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("abrace: ")
+    assert complaint in line

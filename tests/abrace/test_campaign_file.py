@@ -1,0 +1,219 @@
+"""The campaign file: read as written, and refused with a line that says where the mistake is."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from abrace.campaign_file import (
+    Design,
+    ExcitationMultisine,
+    ExcitationNoise,
+    Identify,
+    MultisineMotion,
+    Record,
+    RigTest,
+    Validate,
+    WhiteNoise,
+    load_campaign,
+)
+from abrace.cli import main
+from abrace_core.errors import AbraceError
+
+DEMO = Path(__file__).parents[2] / "src" / "abrace" / "campaigns" / "demo.yaml"
+
+
+def test_the_demo_campaign_is_the_paper_from_end_to_end():
+    campaign = load_campaign(DEMO)
+    assert (campaign.name, campaign.rig, campaign.lockstep) == ("demo", "ncree_three_storey", True)
+    el_centro = Record(record="el_centro", peak_acceleration=0.980665)
+    assert {step.name: step.task for step in campaign.steps} == {
+        "table_noise": RigTest(
+            duration=240.0, ground_motion=WhiteNoise(record="white_noise", rms=0.25, band=(0.0, 10.0), seed=1)
+        ),
+        "command_noise": RigTest(duration=240.0, excitation=ExcitationNoise(rms=1800.0, band=(0.0, 30.0), seed=2)),
+        "model": Identify(table=("table_noise",), command=("command_noise",)),
+        "lqg3": Design(model="model", weights="lqg3"),
+        "uncontrolled": RigTest(duration=100.0, ground_motion=el_centro),
+        "controlled": RigTest(duration=100.0, ground_motion=el_centro, controller="lqg3"),
+        "comparison": Validate(test="controlled", uncontrolled="uncontrolled", model="model", controller="lqg3"),
+    }
+    assert [step.name for step in campaign.steps][:3] == ["table_noise", "command_noise", "model"]
+
+
+def test_the_campaign_of_five_controllers_tries_each_under_both_motions():
+    tasks = {step.name: step.task for step in load_campaign(DEMO.with_name("five_controllers.yaml")).steps}
+    for motion in ("el_centro", "noise"):
+        for name in ("lqg1", "lqg2", "lqg3", "lqg4", "lqg5"):
+            assert tasks[name] == Design(model="model", weights=name)
+            test = tasks[f"{motion}_{name}"]
+            assert (test.controller, test.ground_motion) == (name, tasks[motion].ground_motion)
+            assert tasks[f"{motion}_{name}_check"] == Validate(
+                test=f"{motion}_{name}", uncontrolled=motion, model="model", controller=name
+            )
+
+
+def test_a_campaign_that_nobody_has_is_named_with_those_that_there_are(capsys):
+    assert main(["campaign", "six_controllers"]) == 2
+    assert "campaign 'six_controllers': unknown, expected" in (said := capsys.readouterr().err)
+    assert "demo, five_controllers" in said
+
+
+def test_a_test_may_run_a_controller_file_that_no_step_designed(tmp_path):
+    path = tmp_path / "campaign.yaml"
+    path.write_text("name: own\nrig: rig.yaml\nsteps: [{name: run, test: {duration: 5.0, controller: own/lqg.yaml}}]")
+    (step,) = load_campaign(path).steps
+    assert step.task == RigTest(duration=5.0, controller="own/lqg.yaml")
+
+
+def test_a_test_without_input_and_without_lockstep_is_a_zero_test_in_real_time(tmp_path):
+    path = tmp_path / "zero.yaml"
+    path.write_text("name: zero\nrig: rig.yaml\nsteps: [{name: rest, test: {duration: 5}}]")
+    campaign = load_campaign(path)
+    assert not campaign.lockstep
+    assert campaign.steps[0].task == RigTest(duration=5.0)
+
+
+def test_multisines_on_table_and_command_at_once_repeated_are_one_identification(tmp_path):
+    path = tmp_path / "campaign.yaml"
+    both = """{duration: 200.0,
+      ground_motion: {record: multisine, rms: 0.2, band: [0.3, 10.0], seed: SEED, lines: odd},
+      excitation: {signal: multisine, rms: 900.0, band: [0.3, 30.0], seed: SEED, lines: even, period: 16.384,
+                   slope: -0.5}}"""
+    steps = [f"{{name: test{seed}, test: {both.replace('SEED', str(seed))}}}" for seed in (1, 2)]
+    steps.append("{name: model, identify: {table: [test1, test2], command: [test1, test2]}}")
+    path.write_text("name: multisines\nrig: rig.yaml\nsteps:\n" + "\n".join(f"  - {step}" for step in steps))
+    first, _, model = load_campaign(path).steps
+    assert model.task == Identify(table=("test1", "test2"), command=("test1", "test2"))
+    assert first.task == RigTest(
+        duration=200.0,
+        ground_motion=MultisineMotion(record="multisine", rms=0.2, band=(0.3, 10.0), seed=1, lines="odd"),
+        excitation=ExcitationMultisine(
+            signal="multisine", rms=900.0, band=(0.3, 30.0), seed=1, lines="even", period=16.384, slope=-0.5
+        ),
+    )
+
+
+def test_any_test_may_be_set_beside_its_simulation(tmp_path):
+    path = tmp_path / "campaign.yaml"
+    path.write_text(DEMO.read_text() + "  - {name: zero, validate: {test: uncontrolled, model: model}}\n")
+    assert load_campaign(path).steps[-1].task == Validate(test="uncontrolled", model="model")
+
+
+# what in the demo is replaced, by what, and what the error says after "campaign file <path>: "
+MISTAKES = [
+    ("lockstep: true", "lockstep: 1", "lockstep: 1, expected .*boolean"),
+    ("name: demo", "name: ../demo", "name: '../demo', expected .*letters, digits"),
+    ("name: demo", "nome: demo", "nome: unknown key"),
+    ("name: demo\n", "", "name: key is missing"),
+    ("rig: ncree_three_storey", "rig: ''", "rig: '', expected .*at least 1"),
+    ("duration: 240.0", "duration: 0.0", "steps.0.test.duration: 0.0, expected .*greater than 0"),
+    ("duration: 240.0", "duration: yes", "steps.0.test.duration: True, expected .*number"),
+    ("duration: 240.0", "duration: .nan", "steps.0.test.duration: nan, expected"),
+    ("duration: 240.0", "durations: 240.0", "steps.0.test.durations: unknown key"),
+    ("duration: 240.0", "duration: 240.0\n      colour: red", "steps.0.test.colour: unknown key"),
+    ("seed: 1}", "seed: 1.0}", r"steps.0.test.ground_motion.white_noise.seed: 1.0, expected .*integer"),
+    ("seed: 1}", "seed: -1}", r"steps.0.test.ground_motion.white_noise.seed: -1, expected"),
+    (", seed: 1}", "}", r"steps.0.test.ground_motion.white_noise.seed: key is missing"),
+    ("[0.0, 10.0]", "[10.0, 0.0]", r"ground_motion.white_noise.band: \[10.0, 0.0\], expected .*the lower one first"),
+    ("[0.0, 30.0]", "[0.0]", "steps.1.test.excitation.white_noise.band.1: key is missing"),
+    ("rms: 1800.0", "rms: -1.0", "steps.1.test.excitation.white_noise.rms: -1.0, expected"),
+    (
+        "{record: white_noise, rms: 0.25",
+        "{record: el_centro, rms: 0.25",
+        "steps.0.test.ground_motion.record.rms: unknown key",
+    ),
+    (
+        "{record: white_noise, rms: 0.25",
+        "{record: multisine, rms: 0.25",
+        "steps.0.test.ground_motion.multisine: .*expected .*begins above 0 Hz",
+    ),
+    (
+        "excitation: {rms: 1800.0",
+        "excitation: {signal: sweep, rms: 1800.0",
+        "steps.1.test.excitation: .*expected .*'white_noise', 'multisine'",
+    ),
+    (
+        "excitation: {rms: 1800.0",
+        "excitation: {signal: multisine, lines: few, rms: 1800.0",
+        "steps.1.test.excitation.multisine.lines: 'few', expected .*'all', 'odd' or 'even'",
+    ),
+    (
+        "name: command_noise",
+        "name: table_noise",
+        "step table_noise: name: 'table_noise', expected a name that no earlier",
+    ),
+    ("name: model ", "name: a/b ", "steps.2.name: 'a/b', expected .*letters, digits"),
+    ("design: {model: model, weights: lqg3}", "", "step lqg3: 0 tasks, expected exactly one of test, identify, design"),
+    (
+        "design: {",
+        "test: {duration: 1.0}\n    design: {",
+        "step lqg3: 2 tasks, expected exactly one of test, identify, design",
+    ),
+    (
+        "{table: table_noise",
+        "{table: table_nose",
+        r"step model: identify.table: 'table_nose', expected an earlier test of the table alone \(table_noise\)",
+    ),
+    (
+        "command: command_noise",
+        "command: table_noise",
+        r"step model: identify.command: 'table_noise', expected .* excitation alone \(command_noise\)",
+    ),
+    (
+        "{table: table_noise",
+        "{table: uncontrolled",
+        r"step model: identify.table: 'uncontrolled', expected an earlier test",
+    ),
+    (
+        "design: {model: model",
+        "design: {model: lqg3",
+        r"step lqg3: design.model: 'lqg3', expected an earlier identify step \(model\)",
+    ),
+    (
+        "controller: lqg3\n",
+        "controller: lqg4\n",
+        r"step controlled: test.controller: 'lqg4', expected an earlier design step or a file",
+    ),
+    (
+        "controller: lqg3\n",
+        "controller: lqg3\n      excitation: {rms: 1.0, band: [0, 1], seed: 0}\n",
+        "step controlled: test.controller: 'lqg3' beside excitation, expected one of the two",
+    ),
+    (
+        "test: controlled,",
+        "test: uncontrolled,",
+        "step comparison: validate.controller: 'lqg3', expected none",
+    ),
+    (
+        "uncontrolled: uncontrolled",
+        "uncontrolled: table_noise",
+        r"step comparison: validate.uncontrolled: 'table_noise', expected .* duration of controlled \(uncontrolled\)",
+    ),
+    (
+        "model: model, controller",
+        "model: lqg3, controller",
+        r"step comparison: validate.model: 'lqg3', expected an earlier identify step \(model\)",
+    ),
+    (
+        "controller: lqg3}",
+        "controller: lqg4}",
+        "step comparison: validate.controller: 'lqg4', expected 'lqg3', which test controlled runs",
+    ),
+]
+
+
+@pytest.mark.parametrize(("written", "mistake", "message"), MISTAKES)
+def test_a_mistake_is_named_with_file_step_key_and_value(tmp_path, written, mistake, message):
+    text = DEMO.read_text()
+    assert written in text
+    path = tmp_path / "campaign.yaml"
+    path.write_text(text.replace(written, mistake, 1))
+    with pytest.raises(AbraceError) as raised:
+        load_campaign(path)
+    assert re.match(f"campaign file {re.escape(str(path))}: .*{message}", str(raised.value)), str(raised.value)
+
+
+def test_a_missing_file_is_named():
+    with pytest.raises(AbraceError, match=r"campaign file none\.yaml: No such file"):
+        load_campaign("none.yaml")

@@ -1,0 +1,305 @@
+"""The report: what summary.json and the tables say of a campaign's results, and what is refused."""
+
+import json
+import re
+
+import pytest
+
+from abrace.report import PAPER_POLES, make_report
+from abrace.table import Table
+from abrace_core.errors import AbraceError
+from abrace_core.response import TABLE_1_EXPERIMENT, TABLE_1_SIMULATION
+
+
+def as_rows(table, factor=1.0):
+    return {name: {"peak": factor * row.peak, "rms": factor * row.rms} for name, row in table.items()}
+
+
+def as_poles(poles, frequency=1.0, damping=1.0):
+    return [{"frequency": frequency * abs(p), "damping_ratio": damping * -p.real / abs(p)} for p in poles]
+
+
+def agreement(correlation, error, noise_free):
+    row = {"correlation": correlation, "normalised_rms_error": error, "noise_free_error": noise_free}
+    return {name: dict(row) for name in TABLE_1_EXPERIMENT}
+
+
+def example():
+    """Results whose measured run is 10 % above the paper's experiment, and whose simulated run is the paper's."""
+    uncontrolled = as_rows(TABLE_1_EXPERIMENT, 4.4)
+    uncontrolled["U"] = {"peak": 0.0, "rms": 0.0}
+    return {
+        "poles.json": {
+            test: {"identified": as_poles(poles, 1.001, 0.95), "true": as_poles(poles)}
+            for test, poles in PAPER_POLES.items()
+        },
+        "check/comparison.json": {
+            "test": {"record": "el_centro", "peak_acceleration": 0.980665, "controller": "lqg3"},
+            "measured": as_rows(TABLE_1_EXPERIMENT, 1.1),
+            "simulated": as_rows(TABLE_1_SIMULATION),
+            "uncontrolled": uncontrolled,
+            "simulated_vs_measured": agreement(0.9921, 0.0345, 0.0301),
+            "peak_rms_error": 0.012,
+            "other_models": {"reduced": {"simulated_vs_measured": agreement(0.95, 0.2, 0.19), "peak_rms_error": 0.034}},
+        },
+        "timing.json": {
+            "lockstep": True,
+            "sample_rate": 500.0,
+            "steps": [
+                {"name": "table_noise", "wall_seconds": 42.0, "samples": 120000, "run_seconds": 40.0},
+                {"name": "model", "wall_seconds": 7.5},
+                {"name": "check", "wall_seconds": 0.0},
+                {"name": "controlled", "wall_seconds": 12.0, "samples": 50000, "run_seconds": 10.0},
+            ],
+        },
+    }
+
+
+def write(directory, results):
+    for name, content in results.items():
+        (directory / name).parent.mkdir(exist_ok=True)
+        (directory / name).write_text(content if isinstance(content, str) else json.dumps(content))
+
+
+def reported(directory, results):
+    write(directory, results)
+    return make_report(directory), json.loads((directory / "summary.json").read_text())
+
+
+def row(text, title, name):
+    """Cells of a row of the printed table of this title."""
+    section = next(section for section in text.split("\n\n") if section.startswith(title))
+    return next(re.split(r"  +", line) for line in section.splitlines() if line.startswith(name + " "))
+
+
+def test_summary_holds_poles_identified_and_true_with_their_largest_errors(tmp_path):
+    results = example()
+    _, summary = reported(tmp_path, results)
+    for test in ("table", "command"):
+        poles = summary["poles"][test]
+        assert {key: poles[key] for key in ("identified", "true")} == results["poles.json"][test]
+        assert poles["largest_relative_error"]["frequency"] == pytest.approx(0.001)
+        assert poles["largest_relative_error"]["damping_ratio"] == pytest.approx(0.05)
+
+
+def test_summary_holds_table_1_and_its_error_against_the_papers_experiment(tmp_path):
+    results = example()
+    _, summary = reported(tmp_path, results)
+    comparison = results["check/comparison.json"]
+    assert list(summary["table1"]["measured"]) == ["x1", "x2", "x3", "xf", "a1", "a2", "a3", "f", "U"]
+    assert summary["table1"]["measured"] == comparison["measured"]
+    assert summary["table1"]["simulated"] == comparison["simulated"]
+    assert summary["table1"]["error_vs_paper_experiment"] == pytest.approx(0.1)
+    assert summary["table1"]["simulated_error_vs_paper_experiment"] == pytest.approx(0.136, abs=5e-4)
+    assert summary["uncontrolled"] == comparison["uncontrolled"]
+    for key in ("simulated_vs_measured", "peak_rms_error", "other_models"):
+        assert summary[key] == comparison[key]
+    assert summary["units"] == {**dict.fromkeys(("x1", "x2", "x3", "xf"), "cm")} | {
+        **dict.fromkeys(("a1", "a2", "a3"), "g"),
+        **dict.fromkeys(("f", "U"), "kgf"),
+    }
+
+
+def test_summary_holds_wall_seconds_and_samples_per_second(tmp_path):
+    _, summary = reported(tmp_path, example())
+    timing = summary["timing"]
+    assert timing["wall_seconds"] == {"table_noise": 42.0, "model": 7.5, "check": 0.0, "controlled": 12.0}
+    assert timing["total_wall_seconds"] == 61.5
+    assert timing["samples_per_second_of_test"] == {"table_noise": 3000.0, "controlled": 5000.0}
+    assert timing["samples_per_second"] == 3400.0, "170000 samples in 50 s"
+    assert timing["real_time_factor"] == pytest.approx(6.8)
+
+
+def test_tables_set_the_results_beside_the_papers(tmp_path):
+    text, _ = reported(tmp_path, example())
+    assert row(text, "Poles from the table test", "1") == (
+        ["1", "7.283", "7.276", "7.276", "+0.100", "1.436", "1.512", "1.512", "-5.0"]
+    )
+    assert row(text, "Poles from the command test", "6")[:4] == ["6", "135.203", "135.068", "135.068"]
+    title = "Table 1: lqg3, el_centro at 0.1 g"
+    assert row(text, title, "x1 [cm]") == (
+        ["x1 [cm]", "1.104", "1.339", "1.214", "1.339", "0.159", "0.166", "0.175", "0.166"]
+    )
+    assert row(text, title, "U [kgf]")[1:5] == ["1457.0", "1657.0", "1602.7", "1657.0"]
+    assert "18 cells: measured 0.100, simulated 0.136, the paper's simulation 0.136" in text
+    assert row(text, "Without and with lqg3", "a3 [g]") == [
+        "a3 [g]",
+        "0.8624",
+        "0.2156",
+        "75.0",
+        "0.0836",
+        "0.0209",
+        "75.0",
+    ]
+    assert row(text, "Without and with lqg3", "U [kgf]")[1:4] == ["0.0", "1602.7", "-"]
+    assert row(text, "Simulated by the identified models", "x3") == (["x3", "0.9921", "0.0345", "0.0301", "0.1900"])
+    assert "Mean error of peaks and rms: model 1.2 %, reduced 3.4 %" in text
+    assert row(text, "Timing, in lockstep", "model") == ["model", "7.5", "-", "-"]
+    assert row(text, "Timing, in lockstep", "all") == ["all", "61.5", "3400", "6.80"]
+
+
+@pytest.mark.parametrize(("key", "value"), [("record", "kobe"), ("peak_acceleration", 1.96), ("controller", "lqg1")])
+def test_another_test_is_not_set_beside_table_1(tmp_path, key, value):
+    results = example()
+    results["check/comparison.json"]["test"][key] = value
+    text, summary = reported(tmp_path, results)
+    assert "paper exp." not in text
+    assert summary["table1"]["error_vs_paper_experiment"] is None
+    assert row(text, "Table 1", "x1 [cm]") == ["x1 [cm]", "1.214", "1.339", "0.175", "0.166"]
+
+
+def test_a_pole_that_was_missed_or_made_up_shows(tmp_path):
+    results = example()
+    table = results["poles.json"]["table"]
+    table["identified"][1]["frequency"] = 30.0
+    text, summary = reported(tmp_path, results)
+    assert row(text, "Poles from the table test", "2")[1:5] == ["-", "22.852", "22.852", "-"]
+    assert row(text, "Poles from the table test", "3")[1:5] == ["30.000", "-", "-", "-"]
+    assert summary["poles"]["table"]["largest_relative_error"] == {"frequency": None, "damping_ratio": None}
+
+
+def test_a_rig_whose_own_poles_nobody_knows_and_of_another_size_is_reported(tmp_path):
+    results = example()
+    for poles in results["poles.json"].values():
+        poles["true"] = []
+    for table in ("measured", "simulated", "uncontrolled"):
+        rows = results["check/comparison.json"][table]
+        results["check/comparison.json"][table] = {"x1": rows["x1"], "x5": rows["x3"], "U": rows["U"]}
+    results["check/comparison.json"] |= {"simulated_vs_measured": {}, "other_models": {}}
+    text, summary = reported(tmp_path, results)
+    assert row(text, "Poles from the table test", "1")[1:5] == ["7.283", "-", "7.276", "-"]
+    assert list(summary["table1"]["measured"]) == ["x1", "x5", "U"]
+    assert summary["table1"]["error_vs_paper_experiment"] is None
+
+
+def test_markdown_holds_the_tables_and_links_the_figures(tmp_path):
+    (tmp_path / "figures").mkdir()
+    for name in ("figures/fig6 x3.svg", "fig_3.png", "table_noise.mcap"):
+        (tmp_path / name).touch()
+    reported(tmp_path, example())
+    lines = (tmp_path / "report.md").read_text().splitlines()
+    assert lines[0] == f"# {tmp_path.name}"
+    assert "| x1 [cm] | 1.104 | 1.339 | 1.214 | 1.339 | 0.159 | 0.166 | 0.175 | 0.166 |" in lines
+    assert [line for line in lines if line.startswith("!")] == [
+        "![fig 3](fig_3.png)",
+        "![fig6 x3](figures/fig6%20x3.svg)",
+    ]
+
+
+def test_a_test_without_one_to_set_beside_has_no_reductions(tmp_path):
+    results = example()
+    results["check/comparison.json"]["uncontrolled"] = None
+    text, summary = reported(tmp_path, results)
+    assert summary["uncontrolled"] is None
+    assert "Without and with" not in text
+    assert "Table 1" in text
+
+
+def with_two_controllers():
+    """LQG3 and a weaker controller under the same motion."""
+    results = example()
+    weaker = json.loads(json.dumps(results["check/comparison.json"]))
+    weaker["test"]["controller"] = "lqg1"
+    weaker["measured"] = as_rows(TABLE_1_EXPERIMENT, 2.2)
+    weaker["simulated"] = as_rows(TABLE_1_EXPERIMENT, 2.31)
+    weaker["simulated_vs_measured"]["a1"]["correlation"] = 0.98
+    first = {"name": "first", "wall_seconds": 1.0}
+    results["timing.json"]["steps"] = [first, *results["timing.json"]["steps"]]
+    return {**results, "first/comparison.json": weaker}
+
+
+def test_several_controllers_are_set_beside_each_other(tmp_path):
+    text, summary = reported(tmp_path, with_two_controllers())
+    assert list(summary["comparisons"]) == ["first", "check"]
+    assert summary["test"]["controller"] == "lqg3", "the paper's test is the main one"
+    title = "All controllers, el_centro at 0.1 g: "
+    assert row(text, title + "peak", "x1 [cm]") == ["x1 [cm]", "4.858", "2.429", "1.214"]
+    assert row(text, title + "reduction of peak", "a3") == ["a3", "50.0", "75.0"]
+    assert row(text, "Simulated against measured, every test", "first")[:5] == [
+        "first",
+        "0.9800",
+        "3.01",
+        "1.20",
+        "5.00",
+    ]
+
+
+@pytest.mark.parametrize("name", ["poles.json", "check/comparison.json", "timing.json"])
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "not JSON"),
+        ("[]", "expected "),
+        ("{}", r"(table|simulated_vs_measured|lockstep): expected Field required"),
+    ],
+)
+def test_a_malformed_file_is_named_and_nothing_is_written(tmp_path, name, content, message):
+    write(tmp_path, example())
+    (tmp_path / name).write_text(content)
+    with pytest.raises(AbraceError, match=f"results file {re.escape(str(tmp_path / name))}: .*{message}"):
+        make_report(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["check", "poles.json", "timing.json"]
+
+
+def test_a_folder_without_timing_is_no_campaigns(tmp_path):
+    write(tmp_path, example())
+    (tmp_path / "timing.json").unlink()
+    with pytest.raises(AbraceError, match=r"timing\.json: No such file"):
+        make_report(tmp_path)
+
+
+@pytest.mark.parametrize(("name", "key"), [("poles.json", "poles"), ("check/comparison.json", "table1")])
+def test_what_no_step_was_about_is_left_out(tmp_path, name, key):
+    write(tmp_path, example())
+    (tmp_path / name).unlink()
+    make_report(tmp_path)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert key not in summary
+    assert "timing" in summary
+
+
+def test_wrong_values_are_named_with_their_key(tmp_path):
+    def refused(results, message):
+        write(tmp_path, results)
+        with pytest.raises(AbraceError, match=message):
+            make_report(tmp_path)
+
+    results = example()
+    results["check/comparison.json"]["measured"]["x1"]["rms"] = float("nan")
+    refused(results, r"comparison\.json: measured\.x1\.rms: expected Input should be")
+    results = example()
+    del results["check/comparison.json"]["simulated"]["xf"]
+    refused(results, r"comparison\.json: rows: expected .*simulated with the rows of measured, x1 x2 x3 xf")
+    results = example()
+    results["poles.json"]["command"]["identified"] = []
+    refused(results, r"poles\.json: command\.identified: expected")
+    results = example()
+    results["timing.json"]["steps"][0]["speed"] = 3
+    refused(results, r"timing\.json: steps\.0\.speed: expected Extra inputs are not permitted")
+
+
+def test_a_directory_that_is_none_is_named(tmp_path):
+    with pytest.raises(AbraceError, match=f"results directory {tmp_path / 'none'}: expected a directory"):
+        make_report(tmp_path / "none")
+
+
+def test_columns_of_a_table_are_aligned_whatever_their_width():
+    table = Table("T", ("", "long header", "n"), (("a", "1.5", "1000"), ("name", "-10.25", "2")), ("note",))
+    assert table.text().splitlines() == [
+        "T",
+        "      long header     n",
+        "----  -----------  ----",
+        "a             1.5  1000",
+        "name       -10.25     2",
+        "note",
+    ]
+    assert table.markdown().splitlines() == [
+        "## T",
+        "",
+        "|  | long header | n |",
+        "|---|---:|---:|",
+        "| a | 1.5 | 1000 |",
+        "| name | -10.25 | 2 |",
+        "",
+        "note",
+    ]

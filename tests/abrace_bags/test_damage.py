@@ -1,0 +1,281 @@
+"""Damaged bags: what is whole is read, what is missing is said by topic, and a whole bag is made of what is there."""
+
+from __future__ import annotations
+
+import resource
+from typing import TYPE_CHECKING, Any
+
+import bag_damage
+import numpy as np
+import pytest
+from bag_damage import damage, fingerprints
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from reference_messages import DEFINITIONS, HASHES, RESPONSE, STORE, STRING, note, response_message, serialised
+from rosbags.highlevel import AnyReader
+
+from abrace_bags import BagWriter, read_topics, recover
+from abrace_bags.mcap.attachments import file_attachments
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+FACTS = {"rig": "ncree", "sample_period": "0.002"}
+
+
+def response(k: int) -> bytes:
+    return serialised(response_message(k, np.random.default_rng(k).normal(size=10), 1, k))
+
+
+def write_bag(directory: Path, samples: int, flush_every: int = 10**9) -> Path:
+    """Responses and, after every fifth, a note; returns the MCAP file."""
+    with BagWriter(directory, FACTS) as bag:
+        responses = bag.add_topic("/response", RESPONSE, DEFINITIONS[RESPONSE], HASHES[RESPONSE], {"depth": 77})
+        notes = bag.add_topic("/note", STRING, DEFINITIONS[STRING], HASHES[STRING])
+        for k in range(samples):
+            bag.write(responses, response(k), 10 * k, 10 * k + 1)
+            if k % 5 == 0:
+                bag.write(notes, note(f"note {k}"), 10 * k + 2, 10 * k + 3)
+            if k % flush_every == flush_every - 1:
+                bag.flush()
+    return directory / f"{directory.name}_0.mcap"
+
+
+def chunk_offsets(path: Path) -> list[int]:
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return [index.chunk_start_offset for index in summary.chunk_indexes]
+
+
+def flip(path: Path, place: int, bit: int = 0) -> None:
+    content = bytearray(path.read_bytes())
+    content[place] ^= 1 << bit
+    path.write_bytes(content)
+
+
+def test_sixty_cuts_and_sixty_flips_give_all_that_is_whole_and_nothing_wrong(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", 1500, flush_every=25)
+    found = damage(tmp_path / "bag", 60, 60)
+    assert found["damaged_files"] == 120
+    assert (found["tracebacks"], found["wrong_values"], found["unsaid"]) == (0, 0, 0)
+    assert found["read_fraction"] >= 0.99
+    assert found["least_read"] >= 0.99
+
+
+def test_the_damage_count_sees_a_wrong_value(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_bag(tmp_path / "bag", 50)
+
+    def lying(path: Path) -> Any:
+        contents = read_topics(tmp_path / "bag")
+        if path.name == "damaged.mcap":
+            contents["/response"].fields["force"][7, 0] = np.nextafter(contents["/response"].fields["force"][7, 0], 9)
+        return contents
+
+    monkeypatch.setattr(bag_damage, "read_topics", lying)
+    assert damage(tmp_path / "bag", 3, 2)["wrong_values"] == 5
+
+
+def test_fingerprints_tell_messages_apart(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", 500)
+    for messages in read_topics(tmp_path / "bag").values():
+        assert np.unique(fingerprints(messages)).size == messages.log_time.size
+
+
+@pytest.mark.parametrize("place", range(8))
+def test_damaged_opening_mark_costs_nothing(tmp_path: Path, place: int) -> None:
+    path = write_bag(tmp_path / "bag", 20)
+    flip(path, place, place)
+    contents = read_topics(path)
+    assert contents["/response"].fields["sequence"].tolist() == list(range(20))
+    assert contents.facts == FACTS
+    assert contents.warnings == (f"{path}: its opening mark is damaged",)
+    flip(path, (place + 1) % 8, 0)
+    with pytest.raises(AbraceError, match="not an MCAP file"):
+        read_topics(path)
+
+
+@pytest.mark.parametrize("part", ["opcode", "length"])
+@pytest.mark.parametrize("indexed", [True, False])
+def test_a_damaged_head_costs_its_chunk_alone(tmp_path: Path, part: str, indexed: bool) -> None:
+    path = write_bag(tmp_path / "bag", 60, flush_every=10)
+    offset = chunk_offsets(path)[2]
+    if not indexed:
+        content = path.read_bytes()
+        path.write_bytes(content[: content.rindex(b"serialized_metadata")])
+    flip(path, offset + {"opcode": 0, "length": 3}[part], 3)
+    contents = read_topics(path)
+    assert sorted(set(range(60)) - set(contents["/response"].fields["sequence"].tolist())) == list(range(20, 30))
+    said = "10 of 60 messages of /response are missing" if indexed else "10 of the samples 0 to 59 are missing"
+    assert any(said in warning for warning in contents.warnings), contents.warnings
+    assert any("/note" in warning for warning in contents.warnings), contents.warnings
+
+
+def test_cut_file_says_by_topic_that_the_rest_is_not_known(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", 60, flush_every=10)
+    path.write_bytes(path.read_bytes()[: chunk_offsets(path)[3] + 100])
+    warnings = read_topics(path).warnings
+    assert any("/response: 0 of the samples 0 to 29 are missing, later ones are not known" in one for one in warnings)
+    assert any("/note: how many messages are missing is not known" in one for one in warnings)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4])
+def test_whole_messages_of_the_open_chunk_are_read(tmp_path: Path, compression: CompressionType) -> None:
+    path = tmp_path / "open.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, 1 << 20, compression)
+        writer.start("ros2")
+        topic = writer.register_channel(
+            "/response", "cdr", writer.register_schema(RESPONSE, "ros2msg", DEFINITIONS[RESPONSE].encode())
+        )
+        for k in range(3000):
+            writer.add_message(topic, k, response(k), k)
+        writer.finish()
+    begin = chunk_offsets(path)[0]
+    path.write_bytes(path.read_bytes()[: begin + 200_000])
+    contents = read_topics(path)
+    sequence = contents["/response"].fields["sequence"]
+    np.testing.assert_array_equal(sequence, np.arange(sequence.size))
+    assert sequence.size > 500, "a third of the messages are there"
+    assert any("without its checksum" in warning for warning in contents.warnings)
+
+
+@pytest.mark.parametrize("zeros", [1, 9, 60, 4096])
+def test_zeros_at_the_end_of_a_file_are_no_values(tmp_path: Path, zeros: int) -> None:
+    with BagWriter(tmp_path / "bag", FACTS, compression="none") as bag:
+        topic = bag.add_topic("/response", RESPONSE, DEFINITIONS[RESPONSE], "")
+        for k in range(100):
+            bag.write(topic, response(k), k, k)
+    path = tmp_path / "bag/bag_0.mcap"
+    whole, end = path.read_bytes(), chunk_offsets(path)[0] + 8000
+    for cut in range(end, end + 250, 9):
+        path.write_bytes(whole[:cut] + bytes(zeros))
+        read = read_topics(path)["/response"].fields
+        assert read["sequence"].tolist() == list(range(read["sequence"].size))
+        assert read["sequence"].size > 20
+        for k in (-1, -2):
+            _, *values = np.random.default_rng(read["sequence"][k]).normal(size=10)
+            assert read["ground_acceleration"][k] == values[-1]
+
+
+def test_message_index_that_lies_is_not_believed(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", 200, flush_every=50)
+    whole = read_topics(path)["/response"].fields["force"]
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    place = min(summary.chunk_indexes[1].message_index_offsets.values())
+    flip(path, place + 9 + 2 + 4 + 8, 5)
+    contents = read_topics(path)
+    np.testing.assert_array_equal(contents["/response"].fields["force"], whole)
+    assert any("damaged between its chunks" in warning for warning in contents.warnings)
+
+
+def test_damage_outside_chunks_is_an_error_or_all_of_them_are_missing(tmp_path: Path) -> None:
+    path = tmp_path / "loose.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False, enable_data_crcs=True)
+        writer.start("ros2")
+        topic = writer.register_channel(
+            "/note", "cdr", writer.register_schema(STRING, "ros2msg", DEFINITIONS[STRING].encode())
+        )
+        for k in range(40):
+            writer.add_message(topic, k, note(f"note {k}"), k)
+        writer.finish()
+    whole = path.read_bytes()
+    first = whole.index(b"note 0\0")
+    for place in range(first - 60, first + 300, 7):
+        path.write_bytes(whole)
+        flip(path, place, place % 8)
+        if place in (first - 39, first - 32):  # where the head of the first message stands: none is found at all
+            contents = read_topics(path)
+            assert contents["/note"].log_time.size == 0
+            assert any("40 of 40 messages of /note are missing" in warning for warning in contents.warnings)
+        else:
+            with pytest.raises(AbraceError, match="do not fit their checksum"):
+                read_topics(path)
+
+
+def raw(directory: Path) -> list[tuple[str, int, bytes]]:
+    with AnyReader([directory], default_typestore=STORE) as reader:
+        return [(connection.topic, time, bytes(data)) for connection, time, data in reader.messages()]
+
+
+def test_recovered_bag_is_whole_and_has_every_message_that_was_read(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", 60, flush_every=10)
+    before = raw(tmp_path / "bag")
+    path.write_bytes(path.read_bytes()[: chunk_offsets(path)[4] + 50])
+    recovered = recover(tmp_path / "bag", tmp_path / "whole")
+    assert recovered.counts == {"/response": 40, "/note": 8}
+    assert any("cut off" in warning for warning in recovered.warnings)
+    assert any("/response: 0 of the samples 0 to 39 are missing" in warning for warning in recovered.warnings)
+    assert raw(tmp_path / "whole") == [entry for entry in before if entry[1] < 400]
+    again = read_topics(tmp_path / "whole")
+    assert (again.facts, again.warnings) == (FACTS, ())
+    np.testing.assert_array_equal(again["/response"].publish_time, 10 * np.arange(40) + 1)
+    with AnyReader([tmp_path / "whole"], default_typestore=STORE) as reader:
+        connection = next(one for one in reader.connections if one.topic == "/response")
+        assert connection.digest == HASHES[RESPONSE]
+        assert connection.ext.offered_qos_profiles[0].depth == 77
+
+
+def test_a_cut_off_file_does_not_hang_on_its_first_chunk(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", 60, flush_every=10)
+    offsets = chunk_offsets(path)
+    content = bytearray(path.read_bytes()[: offsets[5] + 10])
+    content[offsets[0] + 60] ^= 0xFF
+    path.write_bytes(content)
+    found = read_topics(path)
+    assert found["/response"].fields["sequence"].tolist() == list(range(10, 50))
+    assert any("chunk" in warning for warning in found.warnings)
+
+
+def test_a_recovered_bag_keeps_files_records_and_losses(tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text("storeys: 3\n")
+    attached = file_attachments([tmp_path / "rig.yaml"])
+    with BagWriter(tmp_path / "bag", FACTS, records={"versions": {"python": "3"}}, attachments=attached) as bag:
+        topic = bag.add_topic("/note", STRING, DEFINITIONS[STRING], HASHES[STRING], {"depth": 3}, {"depth": 5})
+        bag.write(topic, note("a"), 10, 10)
+        bag.add_lost(topic, 7)
+    recover(tmp_path / "bag", tmp_path / "whole")
+    first, again = read_topics(tmp_path / "bag"), read_topics(tmp_path / "whole")
+    assert again.attachments == first.attachments == {"rig.yaml": b"storeys: 3\n"}
+    assert again.records["versions"] == {"python": "3"}
+    assert again.records["abrace_topics"] == first.records["abrace_topics"]
+    assert '"lost": 7' in again.records["abrace_topics"]["/note"]
+    with AnyReader([tmp_path / "whole"]) as reader:
+        assert [profile.depth for profile in reader.connections[0].ext.offered_qos_profiles] == [3, 5]
+
+
+def without_messages(folder: Path) -> Sequence[Path]:
+    """A file cut off before its first chunk, one of no format that is known, a bag of nothing."""
+    path = write_bag(folder / "bag", 20)
+    path.write_bytes(path.read_bytes()[: chunk_offsets(path)[0] + 30])
+    (folder / "other.mcap").write_bytes(b"SQLite format 3\0")
+    write_bag(folder / "empty", 0)
+    return path, folder / "other.mcap", folder / "empty"
+
+
+def test_a_recovery_that_fails_midway_leaves_nothing(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", 60)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, before[1]))
+    try:
+        with pytest.raises(AbraceError, match=rf"cannot write bag {tmp_path}/whole: File too large"):
+            recover(tmp_path / "bag", tmp_path / "whole")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+    with pytest.raises(AbraceError, match="exists already"):
+        recover(tmp_path / "bag", tmp_path / "bag")
+
+
+def test_nothing_to_recover_is_an_error_and_writes_nothing(tmp_path: Path) -> None:
+    for bag in without_messages(tmp_path):
+        with pytest.raises(AbraceError, match=r"no message in it that can be read|not an MCAP file"):
+            recover(bag, tmp_path / "whole")
+    with pytest.raises(AbraceError, match="no such bag"):
+        recover(tmp_path / "none", tmp_path / "whole")
+    assert not (tmp_path / "whole").exists()

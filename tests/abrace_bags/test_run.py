@@ -1,0 +1,150 @@
+"""A bag's responses as a test of the rig: whole, finite and in order, or refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from abrace_bags import BagWriter, read_run
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+RESPONSE = "abrace_interfaces/msg/Response"
+MSG = Path(__file__).parents[2] / "src/abrace_interfaces/msg/Response.msg"
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STORE.register(get_types_from_msg(MSG.read_text(), RESPONSE))
+TYPES: dict[str, Any] = dict(STORE.types)
+DEFINITION = STORE.generate_msgdef(RESPONSE, ros_version=2)[0]
+STEP = 4_000_000
+
+
+def response(k: int, floors: int = 2, groups: int = 2) -> Any:
+    """Sample k, whose values say what they are: tens for the quantity, ones for the place."""
+    x = k / 1000
+    time = TYPES["builtin_interfaces/msg/Time"](sec=5 + k * STEP // 10**9, nanosec=k * STEP % 10**9)
+    header = TYPES["std_msgs/msg/Header"](stamp=time, frame_id="table")
+    floor, group = np.arange(floors), np.arange(groups)
+    return TYPES[RESPONSE](header, k, 10 + floor + x, 20 + floor + x, 30 + group + x, 40 + group + x, 50 + group + x, x)
+
+
+def write(
+    directory: Path, messages: Sequence[Any], facts: dict[str, str], topics: Sequence[str] = ("/response",)
+) -> Path:
+    with BagWriter(directory, facts) as bag:
+        for topic in topics:
+            number = bag.add_topic(topic, RESPONSE, DEFINITION, "")
+            for k, message in enumerate(messages):
+                bag.write(number, bytes(STORE.serialize_cdr(message, RESPONSE)), k, k)
+    return directory
+
+
+def test_run_is_the_bag_with_named_channels(tmp_path: Path) -> None:
+    facts = {"sample_period": "0.002", "rig": "two storeys"}
+    run = read_run(write(tmp_path / "bag", [response(k) for k in range(7, 12)], facts))
+    assert run.names == ("x1", "x2", "xf1", "xf2", "a1", "a2", "f1", "f2")
+    np.testing.assert_allclose(run.outputs[0], np.array([10, 11, 30, 31, 20, 21, 40, 41]) + 0.007, rtol=1e-15)
+    np.testing.assert_allclose(run.command[:, 1], 51 + np.arange(7, 12) / 1000, rtol=1e-15)
+    np.testing.assert_array_equal(run.ground_acceleration, np.arange(7, 12) / 1000)
+    np.testing.assert_array_equal(run.sequence, np.arange(7, 12))
+    assert (run.floors, run.groups, run.sample_period) == (2, 2, 0.002)
+    assert run.facts == facts
+    assert run.source == str(tmp_path / "bag")
+
+
+def test_sample_period_is_the_stamps_where_the_facts_are_silent(tmp_path: Path) -> None:
+    run = read_run(write(tmp_path / "bag", [response(k) for k in range(5)], {}))
+    assert run.sample_period == pytest.approx(0.004, rel=1e-12)
+
+
+@pytest.mark.parametrize("value", ["0", "-0.002", "nan", "inf", "2 ms", ""])
+def test_sample_period_that_is_none_is_refused(tmp_path: Path, value: str) -> None:
+    bag = write(tmp_path / "bag", [response(0)], {"sample_period": value})
+    with pytest.raises(AbraceError, match=rf"bag: topic /response: fact sample_period is {value!r}, expected seconds"):
+        read_run(bag)
+
+
+def test_single_sample_without_period_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(AbraceError, match="stamps don't count up and the facts have no sample_period"):
+        read_run(write(tmp_path / "bag", [response(0)], {}))
+
+
+@pytest.mark.parametrize(
+    ("sequence", "complaint"),
+    [
+        ([3, 4, 6, 9], "sample 4 is followed by sample 6, expected 5"),
+        ([3, 4, 4, 5], "sample 4 is followed by sample 4, expected 5"),
+        ([3, 2], "sample 3 is followed by sample 2, expected 4"),
+    ],
+)
+def test_first_gap_is_named(tmp_path: Path, sequence: list[int], complaint: str) -> None:
+    bag = write(tmp_path / "bag", [response(k) for k in sequence], {"sample_period": "0.002"})
+    with pytest.raises(AbraceError, match=f"bag: topic /response: {complaint}"):
+        read_run(bag)
+    assert read_run(bag, whole=False).sequence.tolist() == sequence
+
+
+@pytest.mark.parametrize("name", ["displacement", "stroke", "acceleration", "force", "command", "ground_acceleration"])
+@pytest.mark.parametrize("value", [np.nan, -np.inf])
+def test_value_that_is_not_finite_is_named(tmp_path: Path, name: str, value: float) -> None:
+    messages = [response(k) for k in range(4)]
+    if name == "ground_acceleration":
+        messages[2].ground_acceleration = value
+    else:
+        getattr(messages[2], name)[1] = value
+    with pytest.raises(AbraceError, match=rf"{name} of sample 2 is .*{value}.*, expected finite values"):
+        read_run(write(tmp_path / "bag", messages, {}))
+
+
+def test_sizes_that_change_or_disagree_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(AbraceError, match="displacement has not the same number of values in all samples"):
+        read_run(write(tmp_path / "changing", [response(0), response(1, floors=3)], {}))
+    messages = [response(k) for k in range(3)]
+    for message in messages:
+        message.acceleration = np.zeros(3)
+    with pytest.raises(AbraceError, match=r"displacement, acceleration have \[2, 3\] values, expected equal numbers"):
+        read_run(write(tmp_path / "disagreeing", messages, {}))
+
+
+def test_topic_is_found_or_asked_for(tmp_path: Path) -> None:
+    bag = write(tmp_path / "two", [response(k) for k in range(3)], {}, ["/a/response", "/b/response"])
+    with pytest.raises(AbraceError, match="has 2 topics of responses, name one of /a/response, /b/response"):
+        read_run(bag)
+    assert read_run(bag, "/b/response").sequence.size == 3
+    with pytest.raises(AbraceError, match="no topic /c/response of type abrace_interfaces/msg/Response"):
+        read_run(bag, "/c/response")
+    with pytest.raises(AbraceError, match="no topic of type abrace_interfaces/msg/Response"):
+        read_run(write(tmp_path / "none", [], {}, []))
+    with pytest.raises(AbraceError, match="topic /response: has no messages"):
+        read_run(write(tmp_path / "empty", [], {}))
+
+
+def test_bag_that_was_cut_off_is_a_shorter_run_that_says_so(tmp_path: Path) -> None:
+    bag = write(tmp_path / "bag", [response(k) for k in range(2000)], {"sample_period": "0.002"})
+    (bag / "metadata.yaml").unlink()
+    file = bag / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    run = read_run(bag)
+    assert 300 < run.sequence.size < 2000
+    assert run.outputs.shape == (run.sequence.size, 8)
+    assert "cut off or damaged" in run.facts["warnings"][0]
+
+
+def test_hole_in_a_damaged_bag_is_refused_with_its_cause(tmp_path: Path) -> None:
+    bag = write(tmp_path / "bag", [response(k) for k in range(2000)], {})
+    file = bag / "bag_0.mcap"
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[len(summary.chunk_indexes) // 2]
+    content = bytearray(file.read_bytes())
+    content[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 1
+    file.write_bytes(content)
+    with pytest.raises(AbraceError, match=r"is followed by sample .*messages of /response are missing"):
+        read_run(bag)

@@ -1,0 +1,104 @@
+"""A laboratory without ROS: tests of a rig, simulated and read by its sensors, as recorded Runs.
+
+For the tests of identification and for `make verify`, which need more tests than anyone would record.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from abrace_core.multisine import repeated_multisine
+from abrace_core.noise import banded_noise
+from abrace_core.run import Run
+from abrace_core.simulation import simulate, simulate_closed_loop
+from abrace_plant.rig.sensors import Measurement
+
+if TYPE_CHECKING:
+    from abrace_core.linear_model import LinearModel
+    from abrace_plant.rig.model import Rig
+
+Array = NDArray[np.float64]
+SILENCE = 1000
+"""Samples at rest before and after the noise of a test."""
+
+
+class Laboratory:
+    """Tests of a rig as Runs: white noise, and earthquakes with a controller or without.
+
+    Parameters
+    ----------
+    rig
+        The rig; its sensors' noise, range and steps are in the records.
+    seed
+        Of noise and excitation.
+    """
+
+    def __init__(self, rig: Rig, seed: int = 0) -> None:
+        self.rig, self.seed = rig, seed
+        self.model = rig.discrete_model()
+
+    def _run(self, source: str, outputs: Array, ground: Array, command_until: Array) -> Run:
+        channels = self.rig.sensors.channels(self.rig.floors, self.rig.groups)
+        sensors = Measurement(channels, self.seed, self.model.sample_period)
+        readings = sensors.record(np.column_stack([outputs, ground]))
+        sequence = np.arange(len(ground), dtype=np.uint64)
+        period = self.model.sample_period
+        shape = (self.rig.floors, self.rig.groups)
+        return Run(source, period, sequence, *shape, readings[:, :-1], readings[:, -1], command_until)
+
+    def open_loop(self, source: str, ground: Array, command: Array) -> Run:
+        """A test with a `command` (samples,) in force from each sample on; its name is `source`."""
+        outputs = simulate(self.model, np.column_stack([ground, command]))
+        return self._run(source, outputs, ground, np.concatenate([[0.0], command[:-1]])[:, None])
+
+    def closed_loop(self, source: str, ground: Array, controller: LinearModel, correction: Array | None = None) -> Run:
+        """A test in which a discrete `controller` commands, within the rig's capacity; its name is `source`.
+
+        `correction` is the controller's, as in `simulate_closed_loop`.
+        """
+        outputs, command = simulate_closed_loop(self.model, controller, ground, self.rig.capacity, correction)
+        return self._run(source, outputs, ground, command)
+
+    def table_test(self, seconds: float, rms: float = 0.25) -> Run:
+        """White noise on the table, the command zero."""
+        noise = self._noise(seconds, 10.0, rms, 1000 + self.seed)
+        return self.open_loop("bags/table", noise, 0 * noise)
+
+    def command_test(self, seconds: float, rms: float = 1800.0) -> Run:
+        """White noise as command, the table at rest."""
+        noise = self._noise(seconds, 30.0, rms, 2000 + self.seed)
+        return self.open_loop("bags/command", 0 * noise, noise)
+
+    def multisine_test(self, table: bool, command: bool, periods: int = 5, period: float = 32.768) -> Run:
+        """Multisines on the table (odd lines), as command (even lines beside the table's, else odd), or both."""
+        duration, rate = periods * period, 500.0
+        still = np.zeros(round(duration * rate))
+        lines = "even" if table and command else "odd"
+        ground = repeated_multisine(duration, period, rate, (0.3, 10.0), 0.25, 4000 + self.seed) if table else still
+        force = (
+            repeated_multisine(duration, period, rate, (0.3, 30.0), 1800.0, 5000 + self.seed, lines)
+            if command
+            else still
+        )
+        return self.open_loop("bags/" + ("both" if table and command else "multisine"), ground, force)
+
+    def earthquake(
+        self, controller: LinearModel | None = None, seconds: float = 40, correction: Array | None = None
+    ) -> Run:
+        """A noise that rises and decays as an earthquake does, at 0.1 g, with a controller or zero command."""
+        samples = int(seconds * 500)
+        time = np.arange(samples) / 500
+        rise_and_decay = np.minimum(time / 2, 1) * np.exp(-np.maximum(time - 8, 0) / 8)
+        ground = banded_noise(samples, 500, (0.3, 12.0), 1.0, 3000 + self.seed) * rise_and_decay
+        ground *= 0.981 / np.abs(ground).max()
+        if controller is None:
+            return self.open_loop("bags/earthquake", ground, 0 * ground)
+        return self.closed_loop("bags/controlled", ground, controller, correction)
+
+    @staticmethod
+    def _noise(seconds: float, highest: float, rms: float, seed: int) -> Array:
+        noise = banded_noise(int(seconds * 500), 500, (0.0, highest), rms, seed)
+        return np.concatenate([np.zeros(SILENCE), noise, np.zeros(SILENCE)])
