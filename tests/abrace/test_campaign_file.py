@@ -178,7 +178,7 @@ MISTAKES = [
     (
         "controller: lqg3\n",
         "controller: lqg3\n      excitation: {rms: 1.0, band: [0, 1], seed: 0}\n",
-        "step controlled: test.controller: 'lqg3' beside excitation, expected one of the two",
+        "step controlled: test.controller: 'lqg3' and an excitation, expected one of the two",
     ),
     (
         "test: controlled,",

@@ -72,8 +72,8 @@ def _read(bag: Path, topics: list[str]) -> BagContents:
     """The topics asked for, all if none; a leading slash may be left out."""
     if not topics:
         return read_topics(bag)
-    there = topic_names(bag)
-    return read_topics(bag, [topic if topic in there or topic.startswith("/") else f"/{topic}" for topic in topics])
+    available = topic_names(bag)
+    return read_topics(bag, [topic if topic in available or topic.startswith("/") else f"/{topic}" for topic in topics])
 
 
 def bag_information(bag: Path) -> str:

@@ -28,7 +28,7 @@ from abrace.campaign_file import (
     Validate,
     load_campaign,
 )
-from abrace.onlooker import Onlooker
+from abrace.onlooker import GraphMonitor
 from abrace.parameters import parameter_file
 from abrace.processes import ProcessGroup, find_executable
 from abrace_core.controller_file import load_controller
@@ -65,7 +65,7 @@ LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 @dataclass
 class Runner:
-    """One campaign on its way."""
+    """A campaign that is being run."""
 
     campaign: Campaign
     rig: Rig
@@ -76,7 +76,7 @@ class Runner:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What the nodes' environment has beside ours."""
+        """Variables that the nodes get in addition to ours."""
         single = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         return {**{key: value for key, value in LOCAL.items() if key not in os.environ}, **single}
 
@@ -145,28 +145,28 @@ class Runner:
         for topic, node in inputs.items():
             expected[node] = {"publishers of response": 1, f"subscribers of {topic}": 2}
         samples = round(duration * rate)
-        with ProcessGroup() as group, Onlooker(f"/{self.campaign.name}", ("plant",)) as onlooker:
+        with ProcessGroup() as group, GraphMonitor(f"/{self.campaign.name}", ("plant",)) as monitor:
             self.start(group, name, "abrace_bags", "logger", logger)
             self.start(group, name, "abrace_plant", "plant", plant)
             for package, executable, parameters in nodes:
                 self.start(group, name, package, executable, parameters)
-            onlooker.configure("plant", PATIENCE, group.raise_if_died)
-            onlooker.wait_until_matched(expected, PATIENCE, group.raise_if_died)
-            onlooker.activate("plant", PATIENCE, group.raise_if_died)
-            run_seconds = self.watch(group, onlooker, samples, shown)
+            monitor.configure("plant", PATIENCE, group.raise_if_died)
+            monitor.wait_until_matched(expected, PATIENCE, group.raise_if_died)
+            monitor.activate("plant", PATIENCE, group.raise_if_died)
+            run_seconds = self.watch(group, monitor, samples, shown)
             group.stop_all([*inputs.values(), "plant", "logger"])
         return {"samples": samples, "run_seconds": run_seconds}
 
-    def watch(self, group: ProcessGroup, onlooker: Onlooker, samples: int, shown: ShownStep) -> float:
-        """Show a test's progress until the plant is done; returns the seconds that it says it took."""
+    def watch(self, group: ProcessGroup, monitor: GraphMonitor, samples: int, shown: ShownStep) -> float:
+        """Show a test's progress until the plant ends; returns the duration that it reports [s]."""
         begin = last_news = time.monotonic()
         last_sequence = -1
         while (ended := group.poll()) is None:
-            onlooker.look()
-            for node, fault in onlooker.faults.items():
+            monitor.spin_once()
+            for node, fault in monitor.faults.items():
                 raise AbraceError(f"{node}: {fault}")
             now = time.monotonic()
-            sequence = int(onlooker.values.get("plant", {}).get("sequence", -1))
+            sequence = int(monitor.values.get("plant", {}).get("sequence", -1))
             if sequence > last_sequence:
                 last_sequence, last_news = sequence, now
                 speed = (sequence + 1) / self.rig.sample_rate / max(now - begin, 1e-9)
@@ -176,8 +176,8 @@ class Runner:
         group.raise_if_died(may_finish=["plant"])
         if ended.name != "plant":
             raise ended.died()
-        said = re.search(r"samples in ([0-9.]+) s", "\n".join(ended.last_lines()))
-        seconds = float(said[1]) if said else time.monotonic() - begin
+        reported = re.search(r"samples in ([0-9.]+) s", "\n".join(ended.last_lines()))
+        seconds = float(reported[1]) if reported else time.monotonic() - begin
         shown.update(1.0, f"{samples / self.rig.sample_rate / seconds:.1f} x real time")
         return seconds
 
@@ -190,7 +190,7 @@ class Runner:
             group.raise_if_died(may_finish=[executable])
 
     def run_step(self, number: int, name: str, task: object, shown: ShownStep) -> dict[str, Any]:
-        """Run one step; returns what its timing says beside the wall time."""
+        """Run one step; returns further entries for its timing."""
         output = self.results / name
         limit = self.rig.capacity.tolist()
         match task:
@@ -240,13 +240,13 @@ class Runner:
         return {}
 
     def rig_model(self) -> Path:
-        """The rig's own model, which a simulated rig has, as a file beside the identified ones."""
+        """The rig's own model, which a simulated rig has, as a file."""
         path = self.results / "rig.json"
         save_model(self.rig.model, path)
         return path
 
     def show_poles(self, step: str) -> None:
-        """Set the rig's own poles and the paper's beside the identified ones: poles.json and a chart."""
+        """Compare the identified poles with the rig's own and the paper's: poles.json and a chart."""
         found = json.loads((self.results / step / "poles.json").read_text(encoding="utf-8"))
         identified = {
             test: [{key: pair[key] for key in ("frequency", "damping_ratio")} for pair in found[test]]

@@ -251,7 +251,7 @@ def _check_references(where: str, task: Task, earlier: dict[str, Task]) -> None:
         case RigTest(controller=str(controller)):
             if task.excitation is not None:
                 raise AbraceError(
-                    f"{where}: test.controller: {controller!r} beside excitation, expected one of the two"
+                    f"{where}: test.controller: {controller!r} and an excitation, expected one of the two"
                 )
             if not controller.endswith(CONTROLLER_FILE):
                 expected = f"an earlier design step or a file that ends in {CONTROLLER_FILE}"

@@ -1,7 +1,4 @@
-"""The campaign's own eyes and hand in the graph: it reads diagnostics and activates the rig.
-
-With abrace_core's `node` and `brace_commander` this is the one other module outside `nodes` that imports rclpy.
-"""
+"""The campaign's own node in the graph: it reads diagnostics and changes the state of life cycle nodes."""
 
 from __future__ import annotations
 
@@ -21,11 +18,11 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
-LOOK = 0.05
-"""Seconds that one look may take."""
+SPIN_TIMEOUT = 0.05
+"""Seconds that one spin waits at most."""
 
 
-class Onlooker:
+class GraphMonitor:
     """Watches the nodes of a namespace through their diagnostics; a context manager.
 
     Parameters
@@ -33,14 +30,14 @@ class Onlooker:
     namespace
         Of the nodes, as `/demo`.
     driven
-        Names of the life cycle nodes whose state it will change.
+        Names of the life cycle nodes whose state it changes.
     """
 
     def __init__(self, namespace: str, driven: tuple[str, ...]) -> None:
         self._namespace = namespace
         self._driven = driven
         self.values: dict[str, dict[str, str]] = {}
-        """What each node's last diagnostics said, by node name."""
+        """Values of each node's last diagnostics, by node name."""
         self.faults: dict[str, str] = {}
         """The fault that each node reports."""
 
@@ -74,14 +71,14 @@ class Onlooker:
             else:
                 self.faults.pop(name, None)
 
-    def look(self) -> None:
-        """Take in what has come."""
-        self._executor.spin_once(timeout_sec=LOOK)
+    def spin_once(self) -> None:
+        """Receive diagnostics and answers of services."""
+        self._executor.spin_once(timeout_sec=SPIN_TIMEOUT)
 
     def wait_until_matched(
         self, expected: Mapping[str, Mapping[str, int]], timeout: float, check: Callable[[], None]
     ) -> None:
-        """Wait until every node says that it has found its partners.
+        """Wait until every node reports that its publishers and subscribers are matched.
 
         Parameters
         ----------
@@ -90,16 +87,16 @@ class Onlooker:
         timeout
             Seconds.
         check
-            Called in between; raises when a node has died.
+            Called after each spin; raises when a node has died.
 
         Raises
         ------
         AbraceError
-            When the time is over, saying what is missing; when there are more than expected.
+            If some are missing after `timeout`, naming them; if there are more than expected.
         """
         deadline = time.monotonic() + timeout
         while True:
-            self.look()
+            self.spin_once()
             check()
             missing = []
             for node, entries in expected.items():
@@ -128,7 +125,7 @@ class Onlooker:
         client = self._state_clients[node]
         deadline = time.monotonic() + timeout
         while not client.service_is_ready():
-            self.look()
+            self.spin_once()
             check()
             if time.monotonic() > deadline:
                 raise AbraceError(f"{node} does not offer its life cycle within {timeout:g} s")
@@ -136,7 +133,7 @@ class Onlooker:
         request.transition.id = transition
         future = client.call_async(request)
         while not future.done():
-            self.look()
+            self.spin_once()
             check()
             if time.monotonic() > deadline:
                 raise AbraceError(f"{node} did not change its state within {timeout:g} s")

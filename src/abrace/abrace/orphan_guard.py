@@ -1,8 +1,8 @@
-"""Ends process groups; as a script, beside each `processes.ProcessGroup`, those that an owner left when it died.
+"""Ends process groups; as a script, those of a `processes.ProcessGroup` whose owner died.
 
-Its standard input says which process groups run, `+1234` when one starts and `-1234` when it has been ended. Every node
-holds the other end of that pipe until it has said so, thus the input ends only when the owner is gone, however it
-ended (kill -9 included), and no node is missed that was just being started. It needs the standard library alone.
+Its standard input names the process groups that run: `+1234` when one starts, `-1234` when it has ended. A node that is
+being started holds the other end of that pipe until it has written its own line. The input therefore ends only after the
+owner has ended (kill -9 included), and no node is missed. Only the standard library is needed.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-LOOK_AGAIN = 0.01
-"""Seconds between two looks at processes that are ending."""
+POLL_PERIOD = 0.01
+"""Seconds between two checks of processes that are ending."""
 
 
 def _runs_in(stat: Path, group: int) -> bool:
@@ -61,7 +61,7 @@ def end(groups: Iterable[int], grace: float) -> None:
             send(group, number)
         deadline = time.monotonic() + grace
         while (running := [group for group in running if is_running(group)]) and time.monotonic() < deadline:
-            time.sleep(LOOK_AGAIN)
+            time.sleep(POLL_PERIOD)
 
 
 def main() -> None:

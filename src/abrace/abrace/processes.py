@@ -1,8 +1,8 @@
 """Starting, watching and stopping the processes of a test, so that none outlives it.
 
 Every node runs in a session of its own: Ctrl-C at the terminal reaches us alone, and we stop the nodes in an order that
-lets the logger close its bag last. Signals go to a node's whole process group, so that what it started goes with it.
-Should we be gone without a stop (kill -9), a small guard process ends what is left (`orphan_guard`).
+lets the logger close its bag last. Signals go to a node's whole process group, which has its children too.
+Where we are killed before we could stop them (kill -9), a small guard process ends them (`orphan_guard`).
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ class NodeDied(AbraceError):  # noqa: N818
 
     def __init__(self, name: str, returncode: int, log_file: Path, last_lines: Sequence[str]) -> None:
         how = f"exit code {returncode}" if returncode >= 0 else f"ended by {signal.Signals(-returncode).name}"
-        said = "".join(f"\n  | {line}" for line in last_lines) or " nothing"
-        super().__init__(f"{name} died ({how}), its output in {log_file} ends with:{said}")
+        output = "".join(f"\n  | {line}" for line in last_lines) or " nothing"
+        super().__init__(f"{name} died ({how}), its output in {log_file} ends with:{output}")
         self.name, self.returncode, self.last_lines = name, returncode, tuple(last_lines)
 
 
@@ -113,7 +113,7 @@ class NodeProcess:
         return self._popen.returncode
 
     def reap(self) -> None:
-        """Take the exit code of an ended process for good; its last threads may still be on their way out."""
+        """Release an ended process and keep its exit code; its last threads may still be ending."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._popen.wait(timeout=1.0)
 
@@ -175,7 +175,7 @@ class ProcessGroup:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop every process, and see the guard off."""
+        """Stop every process, then the guard."""
         try:
             self.stop_all()
         except BaseException:
@@ -205,7 +205,7 @@ class ProcessGroup:
         Raises
         ------
         AbraceError
-            If there is no such program, or the log file cannot be written.
+            If the program does not exist, or the log file cannot be written.
         """
         log_file = Path(log_file)
         if name in self._processes:
@@ -234,7 +234,7 @@ class ProcessGroup:
         return process
 
     def poll(self) -> NodeProcess | None:
-        """The first process that was seen to have ended without a stop, or None."""
+        """The first process that has ended without being stopped, or None."""
         self._look()
         return self._ended[0] if self._ended else None
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from abrace_core.config_file import Checked
 
 SAME_POLE = 0.05
-"""Relative difference in frequency within which two poles are taken for the same."""
+"""Relative difference in frequency within which two poles count as the same."""
 PAPER_ERROR = mean_relative_error(TABLE_1_SIMULATION, TABLE_1_EXPERIMENT)
 
 
@@ -114,7 +114,7 @@ def _largest_error(poles: Poles, key: str) -> float | None:
 
 
 def tables(results: Results) -> list[Table]:
-    """Poles, Table 1, uncontrolled beside controlled, simulated against measured, timing: those that there are."""
+    """Poles, Table 1, without and with control, simulated against measured, timing: those that the results have."""
     found = []
     if results.poles is not None:
         found += [_pole_table(test, poles) for test, poles in _by_test(results.poles)]
@@ -208,7 +208,7 @@ def _agreement_table(comparison: Comparison) -> Table:
 
 
 def _controller_tables(comparisons: Mapping[str, Comparison]) -> list[Table]:
-    """For each motion under which several controllers ran: all of them as measured, and what they take away."""
+    """For each motion under which several controllers ran: measured peak and rms, and their reductions."""
     motions: dict[str, list[Comparison]] = {}
     for comparison in comparisons.values():
         if comparison.test.controller and comparison.uncontrolled is not None:

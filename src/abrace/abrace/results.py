@@ -10,7 +10,7 @@ poles.json, from an identify step; frequencies [rad/s], slowest first; `true` is
 
 comparison.json, from a validate step; every quantity of the rig in the same order in all three; cm, g, kgf
 (`abrace_core.response.in_paper_units`); channels that never move may be missing in `simulated_vs_measured`;
-`uncontrolled` is null where there is no such test to set beside::
+`uncontrolled` is null where no such test was made::
 
     {"test": {"record": "el_centro", "peak_acceleration": 0.980665, "controller": "lqg3"},
      "measured": {"x1": {"peak": 1.10, "rms": 0.16}, ..., "U": {...}}, "simulated": {...}, "uncontrolled": {...},
@@ -142,7 +142,7 @@ class Timing(Checked):
 
 @dataclass(frozen=True)
 class Results:
-    """What a campaign found out: comparisons by step, in their order; no poles where no step identified any."""
+    """What a campaign measured: comparisons by step, in their order; no poles where no step identified any."""
 
     poles: AllPoles | None
     comparisons: dict[str, Comparison]

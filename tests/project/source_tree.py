@@ -1,0 +1,88 @@
+"""The packages in src, their modules, and what each imports: for the tests of the project itself."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FLOORS = {
+    "abrace_core": 1,
+    "abrace_bags": 2,
+    "abrace_plant": 3,
+    "abrace_sysid": 3,
+    "abrace_lqg": 3,
+    "abrace": 4,
+    "abrace_bringup": 4,
+}
+"""A package imports itself and packages of lower floors, never one of its own floor."""
+
+
+@dataclass(frozen=True)
+class Module:
+    """A module: its dotted name, its file, the dotted names that it imports, and the text constants in it."""
+
+    name: str
+    path: Path
+    imports: frozenset[str] = field(repr=False)
+    texts: frozenset[str] = field(repr=False)
+
+    @property
+    def package(self) -> str:
+        return self.name.partition(".")[0]
+
+    @property
+    def room(self) -> str:
+        """The folder that the module is in; a module at the top of its package is a room of its own."""
+        parts = self.name.split(".")
+        return ".".join(parts[:2])
+
+
+def read_module(path: Path, name: str) -> Module:
+    """A module from its source. `from package import name` imports the module of that name where there is one."""
+    imports, texts = set(), set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            imports |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            imports |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            texts.add(node.value)
+    return Module(name, path, frozenset(imports), frozenset(texts))
+
+
+def modules_of(package: str) -> list[Module]:
+    """All modules of a package; a folder's `__init__` has the folder's name."""
+    top = ROOT / "src" / package
+    modules = []
+    for path in sorted((top / package).rglob("*.py")):
+        parts = list(path.relative_to(top).with_suffix("").parts)
+        if parts[-1] == "__init__":
+            parts.pop()
+        modules.append(read_module(path, ".".join(parts)))
+    return modules
+
+
+MODULES = {module.name: module for package in FLOORS for module in modules_of(package)}
+
+
+def ring(arrows: dict[str, set[str]]) -> list[str]:
+    """A ring of arrows, as the names on it, the first once more at the end; empty where there is none."""
+    finished: set[str] = set()
+
+    def follow(name: str, way: list[str]) -> list[str]:
+        if name in way:
+            return [*way[way.index(name) :], name]
+        if name in finished:
+            return []
+        for other in sorted(arrows.get(name, ())):
+            if found := follow(other, [*way, name]):
+                return found
+        finished.add(name)
+        return []
+
+    for name in sorted(arrows):
+        if found := follow(name, []):
+            return found
+    return []

