@@ -32,8 +32,8 @@ from isolation import isolated
 from rosbags.highlevel import AnyReader
 from simulation import simulation_speed
 
-from abrace.campaign import run_campaign
-from abrace.table import Table
+from abrace.campaign.runner import run_campaign
+from abrace.report.table import Table
 from abrace_bags import read_run
 from abrace_core.controller_file import save_controller
 from abrace_core.files import write_text

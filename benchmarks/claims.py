@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from abrace.table import Table
+from abrace.report.table import Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

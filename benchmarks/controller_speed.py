@@ -104,7 +104,7 @@ def step_us(controller: Controller) -> float:
 
 def loop_latency(controller: Controller) -> dict[str, float]:
     """Sample to command over DDS, our node's and the echo's."""
-    from abrace.processes import find_executable
+    from abrace.processes.group import find_executable
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "lqg3.yaml"

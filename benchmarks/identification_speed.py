@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from abrace.table import Table
+    from abrace.report.table import Table
     from abrace_core.run import Run
     from abrace_plant.rig.model import Rig
     from abrace_sysid.identification import Identification
@@ -257,7 +257,7 @@ def cost(laboratory: Laboratory, start: NDArray[np.complex128]) -> dict[str, lis
 
 def cost_table(found: dict[str, Any]) -> Table:
     """The fit's cost against lines and channels, for people; `found` is `bench.json`'s."""
-    from abrace.table import Table
+    from abrace.report.table import Table
 
     rows = [
         (

@@ -17,16 +17,17 @@ from claims import Claim
 from isolation import isolated
 from papers_simulation import papers_simulation
 
-from abrace.campaign import run_campaign
-from abrace.report import make_report, worst_peak_rms_error
-from abrace.results import read_results
-from abrace.table import Table
+from abrace.campaign.runner import run_campaign
+from abrace.report.results import read_results
+from abrace.report.summary import worst_peak_rms_error
+from abrace.report.table import Table
+from abrace.report.writer import make_report
 from abrace_core.controller_file import load_controller
 from abrace_core.node import find_file
 from abrace_core.response import TABLE_1_EXPERIMENT
 
 if TYPE_CHECKING:
-    from abrace.results import Comparison, Results
+    from abrace.report.results import Comparison, Results
 
 CONTROLLERS = ("lqg1", "lqg2", "lqg3", "lqg4", "lqg5")
 MOTIONS = ("el_centro", "noise", "record")

@@ -21,7 +21,7 @@ from laboratory import Laboratory
 from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 
-from abrace.table import Table
+from abrace.report.table import Table
 from abrace_core import signals
 from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, save_figure
 from abrace_core.linear_model import LinearModel, pole_table

@@ -21,8 +21,8 @@ from controller_speed import lqg3
 from isolation import isolated
 from logger_endurance import LOAD, cpu_seconds, flood_rates, running
 
-from abrace.campaign import run_campaign
-from abrace.table import Table
+from abrace.campaign.runner import run_campaign
+from abrace.report.table import Table
 from abrace_bags import read_topics
 from abrace_bags.losses import tallied_losses
 from abrace_core.controller_file import save_controller

@@ -25,7 +25,7 @@ import numpy as np
 from bag_accuracy import verify_bags
 from claims import Claim, claim_table
 
-from abrace.table import Table
+from abrace.report.table import Table
 from abrace_core.files import write_text
 from abrace_plant.records.files import Record, read_record
 from abrace_plant.records.intensity import STANDARD_GRAVITY, intensity

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from abrace.campaign_file import (
+from abrace.campaign.file import (
     Design,
     ExcitationMultisine,
     ExcitationNoise,

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from abrace.orphan_guard import is_running
-from abrace.parameters import parameter_file
-from abrace.processes import NodeDied, NodeProcess, ProcessGroup, Terminated, find_executable
-from abrace.processes import terminate_as_exception as terminating
+from abrace.processes.group import NodeDied, NodeProcess, ProcessGroup, Terminated, find_executable
+from abrace.processes.group import terminate_as_exception as terminating
+from abrace.processes.orphan_guard import is_running
+from abrace.processes.parameter_file import parameter_file
 from abrace_core.errors import AbraceError
 
 PATIENCE = 30.0
@@ -166,7 +166,7 @@ def test_a_process_cannot_start_without_program_log_or_name_of_its_own(tmp_path)
 OWNER = f"""
 import sys, time
 from pathlib import Path
-from abrace.processes import ProcessGroup, terminate_as_exception
+from abrace.processes.group import ProcessGroup, terminate_as_exception
 with terminate_as_exception(), ProcessGroup(grace=float(sys.argv[2])) as group:
     for name, code in {CHILDREN!r}.items():
         node = group.start(name, [sys.executable, "-c", code], Path(sys.argv[1]) / name)

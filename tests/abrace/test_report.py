@@ -5,8 +5,9 @@ import re
 
 import pytest
 
-from abrace.report import PAPER_POLES, make_report
-from abrace.table import Table
+from abrace.report.table import Table
+from abrace.report.tables import PAPER_POLES
+from abrace.report.writer import make_report
 from abrace_core.errors import AbraceError
 from abrace_core.response import TABLE_1_EXPERIMENT, TABLE_1_SIMULATION
 

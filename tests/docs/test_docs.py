@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from abrace.campaign_file import load_campaign
-from abrace.processes import find_executable
+from abrace.campaign.file import load_campaign
+from abrace.processes.group import find_executable
 from abrace_core.node import Parameter
 
 ROOT = Path(__file__).parents[2]

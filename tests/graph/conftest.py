@@ -27,8 +27,8 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from abrace.parameters import parameter_file
-from abrace.processes import NodeProcess, ProcessGroup, find_executable
+from abrace.processes.group import NodeProcess, ProcessGroup, find_executable
+from abrace.processes.parameter_file import parameter_file
 from abrace_interfaces.msg import BraceCommand, Response
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from std_msgs.msg import String
 
-from abrace.processes import find_executable
+from abrace.processes.group import find_executable
 from abrace_bags import read_run, read_topics
 from abrace_core.node import LATCHED_QOS
 

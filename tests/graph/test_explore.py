@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from abrace.processes import find_executable
+from abrace.processes.group import find_executable
 from abrace_core.controller_file import load_controller
 from abrace_core.linear_model import save_model
 from abrace_core.node import find_file

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from abrace.processes import find_executable
+from abrace.processes.group import find_executable
 from abrace_bags import BagWriter, message_definition
 from abrace_core.controller_file import load_controller
 from abrace_core.linear_model import load_model, pole_table

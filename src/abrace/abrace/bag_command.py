@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from abrace.table import Table
+from abrace.report.table import Table
 from abrace_bags import BagContents, read_topics
 from abrace_bags.files import topic_names
 from abrace_core.errors import AbraceError

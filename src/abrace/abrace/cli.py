@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from abrace.bag_command import add_bag_parser, bag_command
-from abrace.processes import NodeDied, find_executable, terminate_as_exception
+from abrace.processes.group import NodeDied, find_executable, terminate_as_exception
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -64,12 +64,12 @@ def _carry_out(given: argparse.Namespace) -> int:
     if given.command == "bag":
         bag_command(given)
         return 0
-    from abrace.report import make_report
+    from abrace.report.writer import make_report
 
     if given.command == "report":
         print(make_report(given.directory))
         return 0
-    from abrace.campaign import run_campaign
+    from abrace.campaign.runner import run_campaign
     from abrace_core.node import find_file
 
     name = given.file if given.command == "campaign" else DEMO

@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from abrace import orphan_guard
+from abrace.processes import orphan_guard
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:

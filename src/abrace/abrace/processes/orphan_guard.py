@@ -1,7 +1,7 @@
 """Ends process groups; as a script, those of a `processes.ProcessGroup` whose owner died.
 
 Its standard input names the process groups that run: `+1234` when one starts, `-1234` when it has ended. A node that is
-being started holds the other end of that pipe until it has written its own line. The input therefore ends only after the
+being started holds the other end of that pipe until it has written its own line. The input therefore ends only when the
 owner has ended (kill -9 included), and no node is missed. Only the standard library is needed.
 """
 

@@ -1,123 +1,26 @@
-"""The report of a campaign: summary.json, report.md and the tables that the campaign prints.
-
-Made from poles.json, comparison.json and timing.json in the directory of the results (`abrace.results`).
-"""
+"""The tables of a campaign: poles, Table 1, without and with control, simulated against measured, timing."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from abrace.results import (
-    AllPoles,
-    Cells,
-    Comparison,
-    Facts,
-    Pole,
-    Poles,
-    Prediction,
-    Results,
-    Timing,
-    read_results,
-)
-from abrace.table import Table
-from abrace_core.files import write_text
+from abrace.report.results import Cells, Comparison, Facts, Pole, Poles, Prediction, Results, Timing
+from abrace.report.summary import error_vs_paper, nearest_pole, poles_by_test, timing_summary, worst_peak_rms_error
+from abrace.report.table import Table
 from abrace_core.response import TABLE_1_EXPERIMENT, TABLE_1_SIMULATION, PeakRms, mean_relative_error, paper_unit
 from abrace_plant.rig.published import PAPER_POLES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
-    from abrace_core.config_file import Checked
-
-SAME_POLE = 0.05
-"""Relative difference in frequency within which two poles count as the same."""
 PAPER_ERROR = mean_relative_error(TABLE_1_SIMULATION, TABLE_1_EXPERIMENT)
-
-
-def summarise(results: Results) -> dict[str, Any]:
-    """The content of summary.json: what the campaign's steps have found out."""
-    summary: dict[str, Any] = {"timing": _timing(results.timing)}
-    if results.poles is not None:
-        summary["poles"] = {
-            test: poles.model_dump()
-            | {
-                "largest_relative_error": {
-                    "frequency": _largest_error(poles, "frequency"),
-                    "damping_ratio": _largest_error(poles, "damping_ratio"),
-                }
-            }
-            for test, poles in _by_test(results.poles)
-        }
-    if results.main is not None:
-        summary |= _comparison(results.main)
-        summary["comparisons"] = {step: _comparison(one) for step, one in results.comparisons.items()}
-    return summary
-
-
-def _comparison(comparison: Comparison) -> dict[str, Any]:
-    return {
-        "test": comparison.test.model_dump(),
-        "units": {name: paper_unit(name)[1] for name in comparison.measured},
-        "table1": {
-            "measured": _dumped(comparison.measured),
-            "simulated": _dumped(comparison.simulated),
-            "error_vs_paper_experiment": _error_vs_paper(comparison, comparison.measured),
-            "simulated_error_vs_paper_experiment": _error_vs_paper(comparison, comparison.simulated),
-        },
-        "uncontrolled": _dumped(comparison.uncontrolled) if comparison.uncontrolled else None,
-        "simulated_vs_measured": _dumped(comparison.simulated_vs_measured),
-        "peak_rms_error": comparison.peak_rms_error,
-        "other_models": _dumped(comparison.other_models),
-    }
-
-
-def _dumped(rows: Mapping[str, Checked]) -> dict[str, Any]:
-    return {name: row.model_dump() for name, row in rows.items()}
-
-
-def _by_test(poles: AllPoles) -> tuple[tuple[str, Poles], tuple[str, Poles]]:
-    return ("table", poles.table), ("command", poles.command)
-
-
-def _error_vs_paper(comparison: Comparison, rows: Mapping[str, Cells]) -> float | None:
-    if not comparison.is_the_papers:
-        return None
-    return mean_relative_error({name: PeakRms(row.peak, row.rms) for name, row in rows.items()}, TABLE_1_EXPERIMENT)
-
-
-def _timing(timing: Timing) -> dict[str, Any]:
-    tests = [(step.name, step.samples, step.run_seconds) for step in timing.steps if step.samples and step.run_seconds]
-    samples, seconds = sum(test[1] for test in tests), sum(test[2] for test in tests)
-    return {
-        "lockstep": timing.lockstep,
-        "sample_rate": timing.sample_rate,
-        "wall_seconds": {step.name: step.wall_seconds for step in timing.steps},
-        "total_wall_seconds": sum(step.wall_seconds for step in timing.steps),
-        "samples_per_second_of_test": {name: count / run_seconds for name, count, run_seconds in tests},
-        "samples_per_second": samples / seconds if tests else None,
-        "real_time_factor": samples / seconds / timing.sample_rate if tests else None,
-    }
-
-
-def _nearest(poles: Sequence[Pole], frequency: float) -> Pole | None:
-    nearest = min(poles, key=lambda pole: abs(pole.frequency - frequency), default=None)
-    return nearest if nearest and abs(nearest.frequency - frequency) <= SAME_POLE * frequency else None
-
-
-def _largest_error(poles: Poles, key: str) -> float | None:
-    """Largest relative error of the identified poles against the true ones; None if a true pole has no like."""
-    pairs = [(_nearest(poles.identified, true.frequency), true) for true in poles.true]
-    errors = [abs(getattr(found, key) / getattr(true, key) - 1) for found, true in pairs if found is not None]
-    return max(errors) if errors and len(errors) == len(pairs) else None
 
 
 def tables(results: Results) -> list[Table]:
     """Poles, Table 1, without and with control, simulated against measured, timing: those that the results have."""
     found = []
     if results.poles is not None:
-        found += [_pole_table(test, poles) for test, poles in _by_test(results.poles)]
+        found += [_pole_table(test, poles) for test, poles in poles_by_test(results.poles)]
     if results.main is not None:
         found.append(_table_1(results.main))
         if results.main.uncontrolled is not None:
@@ -130,11 +33,11 @@ def tables(results: Results) -> list[Table]:
 
 def _pole_table(test: str, poles: Poles) -> Table:
     paper = [Pole(frequency=abs(p), damping_ratio=-p.real / abs(p)) for p in PAPER_POLES[test]]
-    missed = [true for true in poles.true if _nearest(poles.identified, true.frequency) is None]
+    missed = [true for true in poles.true if nearest_pole(poles.identified, true.frequency) is None]
 
     def row(pole: Pole) -> list[str]:
         found = None if pole in missed else pole
-        true, papers = _nearest(poles.true, pole.frequency), _nearest(paper, pole.frequency)
+        true, papers = nearest_pole(poles.true, pole.frequency), nearest_pole(paper, pole.frequency)
 
         def cells(quantity: Callable[[Pole], float], form: str) -> list[str]:
             error = 100 * (quantity(found) / quantity(true) - 1) if found and true else None
@@ -162,7 +65,7 @@ def _table_1(comparison: Comparison) -> Table:
     notes: tuple[str, ...] = ()
     if comparison.is_the_papers:
         columns = {"paper exp.": TABLE_1_EXPERIMENT, "paper sim.": TABLE_1_SIMULATION, **columns}
-        measured, simulated = (_error_vs_paper(comparison, r) for r in (comparison.measured, comparison.simulated))
+        measured, simulated = (error_vs_paper(comparison, r) for r in (comparison.measured, comparison.simulated))
         note = "Mean absolute relative error against the paper's experiment, 18 cells: "
         note += f"measured {measured:.3f}, simulated {simulated:.3f}, the paper's simulation {PAPER_ERROR:.3f}"
         notes = (note,)
@@ -259,23 +162,8 @@ def _all_agreements_table(comparisons: Mapping[str, Comparison]) -> Table:
     )
 
 
-def worst_peak_rms_error(comparison: Comparison) -> float:
-    """Greatest relative error of a simulated peak or rms value, of the channels that move.
-
-    Parameters
-    ----------
-    comparison
-        Of a validate step.
-    """
-    return max(
-        abs(getattr(comparison.simulated[name], key) / getattr(comparison.measured[name], key) - 1)
-        for name in comparison.simulated_vs_measured
-        for key in ("peak", "rms")
-    )
-
-
 def _timing_table(timing: Timing) -> Table:
-    summary = _timing(timing)
+    summary = timing_summary(timing)
     speeds = summary["samples_per_second_of_test"]
 
     def row(name: str, seconds: float, speed: float | None) -> tuple[str, ...]:
@@ -310,24 +198,3 @@ def _cell(name: str, value: float | None) -> str:
 
 def _number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
-
-
-def make_report(directory: Path | str) -> str:
-    """Write summary.json and report.md into the directory of a campaign's results, and return the tables as text.
-
-    Figures (PNG, SVG) below the directory are shown in report.md.
-
-    Raises
-    ------
-    AbraceError
-        If a file of the results is missing or malformed; nothing is written then.
-    """
-    directory = Path(directory)
-    results = read_results(directory)
-    contents = tables(results)
-    found = sorted(path.relative_to(directory) for path in directory.rglob("*") if path.suffix in {".png", ".svg"})
-    figures = [f"![{path.stem.replace('_', ' ')}]({path.as_posix().replace(' ', '%20')})" for path in found]
-    sections = [f"# {directory.resolve().name}", *(table.markdown() for table in contents)]
-    write_text(directory / "summary.json", json.dumps(summarise(results), indent=1) + "\n")
-    write_text(directory / "report.md", "\n\n".join([*sections, *(["## Figures", *figures] if figures else [])]) + "\n")
-    return "\n\n".join(table.text() for table in contents)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from abrace.campaign_file import (
+from abrace.campaign.file import (
     CONTROLLER_FILE,
     Campaign,
     Design,
@@ -28,9 +28,9 @@ from abrace.campaign_file import (
     Validate,
     load_campaign,
 )
-from abrace.onlooker import GraphMonitor
-from abrace.parameters import parameter_file
-from abrace.processes import ProcessGroup, find_executable
+from abrace.nodes.graph_monitor import GraphMonitor
+from abrace.processes.group import ProcessGroup, find_executable
+from abrace.processes.parameter_file import parameter_file
 from abrace_core.controller_file import load_controller
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError

@@ -1,0 +1,1 @@
+"""The nodes: parameters, topics and callbacks. The only modules of this package that import rclpy."""

@@ -1,0 +1,1 @@
+"""Nodes as processes: found, given parameters, started, watched, stopped, none left behind."""
