@@ -37,7 +37,7 @@ lint: setup  ## ruff and mypy
 	@$(ENVIRONMENT)
 	ruff check .
 	ruff format --check .
-	mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) benchmarks
+	mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) $(wildcard src/*/scripts/*.py) docs/write_nodes.py benchmarks tests/support
 
 test: lint  ## lint and all tests: those of the libraries on all cores, then those of the graph one by one
 	@$(ENVIRONMENT)

@@ -5,10 +5,14 @@ from __future__ import annotations
 import importlib
 import textwrap
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from abrace_core.files import write_text
 from abrace_core.node import AUTOSTART, AbraceLifecycleNode, Parameter
 from abrace_core.node.brace_commander import RATE_LIMIT, BraceCommander
+
+if TYPE_CHECKING:
+    from types import ModuleType
 
 PAGE = Path(__file__).parent / "nodes.md"
 
@@ -50,7 +54,7 @@ NODES = {
 }
 
 
-def node_class(module: object) -> type:
+def node_class(module: ModuleType) -> type:
     """The node class that a node's module defines."""
     (found,) = (
         value
@@ -85,7 +89,7 @@ def page() -> str:
             lifecycle = issubclass(found, AbraceLifecycleNode)
             if lifecycle:
                 table.append(AUTOSTART)
-            summary = module.__doc__.split("\n\n")[0].partition(": ")[2].replace("\n", " ")
+            summary = (module.__doc__ or "").split("\n\n")[0].partition(": ")[2].replace("\n", " ")
             parts.append(f"## {name}\n")
             parts.append(f"`abrace run {package} {name}`{' (life cycle node)' if lifecycle else ''}: {summary}\n")
             parts.append("\n".join(textwrap.wrap(topics, 120)) + "\n")

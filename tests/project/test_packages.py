@@ -11,7 +11,6 @@ KEYS = {
     "scipy": "python3-scipy",
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
-    "pydantic": "python3-pydantic",
     "yaml": "python3-yaml",
     "rosbags": "python3-rosbags-pip",
     "pytest": "python3-pytest",
@@ -20,6 +19,7 @@ KEYS = {
 }
 """rosdep's keys of Python packages, by import; a ROS package is its own key."""
 FROM_PIP = {
+    "pydantic",
     "mcap",
     "zstandard",
     "lz4",
@@ -32,10 +32,8 @@ FROM_PIP = {
     "skrf",
     "psutil",
 }
-"""Python packages that rosdep does not know: requirements/run.txt and develop.txt install them."""
-MODULES_OF_TESTS = {
-    path.stem for folder in ("tests/support", "tests/project", "benchmarks") for path in (ROOT / folder).glob("*.py")
-}
+"""Python packages that rosdep does not know, or only older than abrace needs (pydantic 1): pip installs them."""
+MODULES_OF_TESTS = {path.stem for folder in ("tests/support", "benchmarks") for path in (ROOT / folder).glob("*.py")}
 PACKAGES = {"abrace_interfaces", *FLOORS}
 
 

@@ -30,6 +30,7 @@ class Module:
 
     @property
     def package(self) -> str:
+        """The package that it is in."""
         return self.name.partition(".")[0]
 
     @property
