@@ -9,11 +9,12 @@ import pytest
 import rclpy
 from ament_index_python.packages import get_package_share_directory
 from rclpy.serialization import serialize_message
+from rosbags.interfaces import QosDurability
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from abrace_bags import BagWriter, message_definition, read_topics
+from abrace_bags import DEFAULT_QOS, BagWriter, message_definition, read_topics
 from abrace_bags.nodes.replay import Replay
 from abrace_bags.raw import read_raw
 from abrace_core.controller_file import Controller, save_controller
@@ -91,12 +92,13 @@ def text(words: str) -> bytes:
 
 @pytest.fixture
 def texts(tmp_path: Path) -> Path:
-    """A bag of ten texts on /lab/said, 20 ms apart, and one latched on /lab/title."""
+    """A bag of ten texts on /lab/said, 20 ms apart, and one on /lab/title, which is transient local."""
     definition = message_definition("std_msgs/msg/String")
     arguments = ("std_msgs/msg/String", definition.text, definition.type_hash)
+    transient_local = DEFAULT_QOS._replace(durability=QosDurability.TRANSIENT_LOCAL, depth=1)
     with BagWriter(tmp_path / "texts", {}) as bag:
         said = bag.add_topic("/lab/said", *arguments)
-        title = bag.add_topic("/lab/title", *arguments, {"durability": "transient_local", "depth": 1})
+        title = bag.add_topic("/lab/title", *arguments, transient_local)
         bag.write(title, text("the title"), 10**9, 10**9)
         for k in range(10):
             bag.write(said, text(f"words {k}"), 10**9 + k * STEP, 10**9)
@@ -131,7 +133,7 @@ def test_a_controller_answers_the_recorded_responses_with_the_recorded_commands_
     assert commands == recorded
 
 
-def test_a_lockstep_replay_begins_when_who_answers_takes_the_samples(
+def test_a_lockstep_replay_begins_when_a_commander_has_subscribed_to_the_samples(
     graph: Any, run: tuple[Path, str], context: rclpy.Context
 ) -> None:
     bag, namespace = run
@@ -151,7 +153,7 @@ def test_a_lockstep_replay_begins_when_who_answers_takes_the_samples(
     hand.destroy_node()
 
 
-def test_responses_are_not_replayed_beside_a_rig_that_publishes_them(graph: Any, run: tuple[Path, str]) -> None:
+def test_responses_are_not_replayed_where_a_rig_publishes_them(graph: Any, run: tuple[Path, str]) -> None:
     bag, namespace = run
     graph.start("replay", "-r", f"{namespace}/response:=response", bag=str(bag), start_paused=True)
     graph.until_matched("replay", **{f"{namespace}/response": 0})
@@ -171,7 +173,9 @@ def test_a_response_without_an_answer_ends_a_lockstep_replay(graph: Any, run: tu
     assert [response.sequence for response in responses] in ([], [0])
 
 
-def test_every_message_comes_again_as_it_was_and_the_latched_one_to_who_comes_late(graph: Any, texts: Path) -> None:
+def test_every_message_comes_again_as_it_was_and_a_transient_local_one_to_a_late_subscriber(
+    graph: Any, texts: Path
+) -> None:
     said = listen_raw(graph, String, "words")
     clock = graph.listen(Clock, "/clock")
     remap = ("-r", "/lab/said:=words", "-r", "/lab/title:=title")
@@ -181,7 +185,7 @@ def test_every_message_comes_again_as_it_was_and_the_latched_one_to_who_comes_la
     assert graph.call(Trigger, "replay/step", Trigger.Request()).success
     graph.until(lambda: len(said) == 1, "the first word")
     title = graph.listen(String, "title", LATCHED_QOS)
-    graph.until(lambda: title, "the latched title")
+    graph.until(lambda: title, "the title")
     assert title[0].data == "the title"
     assert graph.call(SetBool, "replay/pause", SetBool.Request(data=True)).message == "paused"
     graph.until(lambda: clock, "the bag's time")
