@@ -37,7 +37,7 @@ RESPONSE, COMMAND, STRING = (
 
 def messages(*milliseconds: int) -> list[RawMessage]:
     """Messages of these times, with their numbers as bytes."""
-    return [RawMessage("/said", bytes([k]), BEGIN + time * 1_000_000) for k, time in enumerate(milliseconds)]
+    return [RawMessage("/note", bytes([k]), BEGIN + time * 1_000_000) for k, time in enumerate(milliseconds)]
 
 
 def topics(**types: str) -> dict[str, RecordedTopic]:
@@ -151,10 +151,10 @@ def test_a_sample_waits_for_the_command_with_its_number() -> None:
     responses, commands = Responses(), BraceCommands()
     samples = [responses.pack(0, number, [0.0], [0.0], [0.0], [0.0], [0.0], 0.0) for number in (41, 42)]
     content = [
-        RawMessage("/lab/said", b"anything", BEGIN),
+        RawMessage("/lab/note", b"anything", BEGIN),
         RawMessage("/lab/response", samples[0], BEGIN),
         RawMessage("/lab/response", samples[1], BEGIN + 1),
-        RawMessage("/lab/said", b"the last", BEGIN + 2),
+        RawMessage("/lab/note", b"the last", BEGIN + 2),
     ]
     playback, answers = BagPlayback(content, 1.0, loop=False), Answers("/lab/response")
     assert answers.missing is None
@@ -171,9 +171,9 @@ def test_a_sample_waits_for_the_command_with_its_number() -> None:
 
 
 def test_a_time_that_a_clock_cannot_hold_is_refused() -> None:
-    check_clock("bag", topics(said=STRING), messages(0, 10))
+    check_clock("bag", topics(note=STRING), messages(0, 10))
     with pytest.raises(AbraceError, match="parameter clock: /clock can't have the times of bag, expected 1970 to 2038"):
-        check_clock("bag", {}, [RawMessage("/said", b"", 2**31 * 10**9)])
+        check_clock("bag", {}, [RawMessage("/note", b"", 2**31 * 10**9)])
     with pytest.raises(AbraceError, match="parameter clock: /clock of the bag is replayed"):
         check_clock("bag", {"/clock": RecordedTopic("/clock", STRING, "", UNKNOWN_QOS)}, messages(0))
 
@@ -188,18 +188,18 @@ def test_a_topic_is_replayed_with_its_qos_but_no_small_depth() -> None:
 
 def test_the_topic_of_responses_is_found_and_has_to_be_the_only_one() -> None:
     sample = [RawMessage("/lab/response", b"", BEGIN)]
-    assert response_topic(topics(response=RESPONSE, said=STRING), sample) == "/lab/response"
+    assert response_topic(topics(response=RESPONSE, note=STRING), sample) == "/lab/response"
     with pytest.raises(AbraceError, match=r"2 topics of .* to replay \(/lab/one, /lab/two\), expected one"):
         response_topic(topics(two=RESPONSE, one=RESPONSE), sample)
     with pytest.raises(AbraceError, match=r"0 topics of .* to replay \(none\), expected one"):
-        response_topic(topics(said=STRING), sample)
+        response_topic(topics(note=STRING), sample)
     with pytest.raises(AbraceError, match="/lab/brace_command answers /lab/response and can't be replayed as well"):
         response_topic(topics(response=RESPONSE, brace_command=COMMAND), sample)
 
 
 def test_a_part_without_a_response_has_nothing_to_answer() -> None:
     with pytest.raises(AbraceError, match="parameter lockstep: no message of /lab/response in the part"):
-        response_topic(topics(response=RESPONSE, said=STRING), [RawMessage("/lab/said", b"", BEGIN)])
+        response_topic(topics(response=RESPONSE, note=STRING), [RawMessage("/lab/note", b"", BEGIN)])
 
 
 def test_inputs_of_a_rig_are_left_out_with_a_warning() -> None:
@@ -209,17 +209,17 @@ def test_inputs_of_a_rig_are_left_out_with_a_warning() -> None:
         force=COMMAND,
         ground_motion=STRING,
         emergency_stop=STRING,
-        said=STRING,
+        note=STRING,
     )
     content = [RawMessage(name, b"", BEGIN + k) for k, name in enumerate(recorded)]
     bag = without_commands(RawBag(recorded, content, ("first",)))
-    assert list(bag.topics) == ["/lab/response", "/lab/said"]
-    assert [message.topic for message in bag.messages] == ["/lab/response", "/lab/said"]
+    assert list(bag.topics) == ["/lab/response", "/lab/note"]
+    assert [message.topic for message in bag.messages] == ["/lab/response", "/lab/note"]
     assert bag.warnings[0] == "first"
     assert bag.warnings[1].startswith(
         "/lab/brace_command, /lab/emergency_stop, /lab/force, /lab/ground_motion left out: a rig obeys them"
     )
-    harmless = RawBag(topics(said=STRING), content[-1:], ())
+    harmless = RawBag(topics(note=STRING), content[-1:], ())
     assert without_commands(harmless) == harmless
 
 
@@ -231,8 +231,8 @@ def test_the_answers_are_in_the_namespace_of_the_samples() -> None:
 def test_a_type_that_is_another_one_here_is_refused() -> None:
     same = message_definition(STRING).type_hash
     for known in (same, ""):
-        check_type(RecordedTopic("/said", STRING, known, UNKNOWN_QOS))
-    with pytest.raises(AbraceError, match=f"topic /said: {STRING} was recorded as RIHS01_0, expected .*{same}"):
-        check_type(RecordedTopic("/said", STRING, "RIHS01_0", UNKNOWN_QOS))
-    with pytest.raises(AbraceError, match="topic /said: message type odd_msgs/Odd is not installed"):
-        check_type(RecordedTopic("/said", "odd_msgs/msg/Odd", "", UNKNOWN_QOS))
+        check_type(RecordedTopic("/note", STRING, known, UNKNOWN_QOS))
+    with pytest.raises(AbraceError, match=f"topic /note: {STRING} was recorded as RIHS01_0, expected .*{same}"):
+        check_type(RecordedTopic("/note", STRING, "RIHS01_0", UNKNOWN_QOS))
+    with pytest.raises(AbraceError, match="topic /note: message type odd_msgs/Odd is not installed"):
+        check_type(RecordedTopic("/note", "odd_msgs/msg/Odd", "", UNKNOWN_QOS))

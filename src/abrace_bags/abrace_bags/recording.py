@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from abrace_bags.writer import BagWriter
 
@@ -141,8 +141,13 @@ class Recording:
             bag.flush()
         return count
 
-    def close(self) -> None:
-        """Write what waits, and close the bag. Closing again does nothing.
+    def close(self, lost: Mapping[int, int] | None = None) -> BagWriter:
+        """Write what waits, and close the bag, which is returned. Closing again does nothing.
+
+        Parameters
+        ----------
+        lost
+            Messages that were published and did not come to `write`, by topic number.
 
         Raises
         ------
@@ -153,10 +158,11 @@ class Recording:
         self._wake.set()
         self._thread.join()
         with self.bag() as bag:
-            for topic_id, count in self.overflowed.items():
+            for topic_id, count in (*self.overflowed.items(), *(lost or {}).items()):
                 bag.add_lost(topic_id, count)
             self.overflowed.clear()
             bag.close()
+        return bag
 
     def _run(self) -> None:
         flush_due = time.monotonic() + self._flush_interval

@@ -50,17 +50,7 @@ MOST_AT_ONCE = 500
 
 @dataclass
 class Topic:
-    """A topic that is being recorded.
-
-    Parameters
-    ----------
-    subscription
-        Where its messages come from.
-    topic_id
-        In the bag.
-    count
-        Messages received for the bag.
-    """
+    """A topic that is being recorded: its subscription, its number in the bag, messages received for the bag."""
 
     subscription: RawSubscription
     topic_id: int
@@ -183,7 +173,7 @@ class Logger(AbraceNode):
 
     def writer(self, topic: Topic) -> Callable[[bytes, int, int], None]:
         """What writes a topic's messages, or drops them."""
-        return partial(self.open_recording().write, topic.topic_id) if self.records(topic) else _drop
+        return partial(self.open_recording().write, topic.topic_id) if self.records(topic) else lambda *_: None
 
     def open_recording(self) -> Recording:
         """What is being recorded."""
@@ -230,20 +220,17 @@ class Logger(AbraceNode):
         """Receive the last messages and close the bag; the node stays, for another start."""
         try:
             recording = self.receive_all()
-            with recording.bag() as bag:
-                for topic in self.topics.values():
-                    bag.add_lost(topic.topic_id, topic.subscription.lost)
-            recording.close()
+            bag = recording.close({topic.topic_id: topic.subscription.lost for topic in self.topics.values()})
         finally:
             self.recording = None
             for topic in self.topics.values():
                 topic.subscription.close()
             self.topics = {}
-        counts = {self.given_names.get(name, name): found for name, found in bag.counts().items()}
-        lost = ", ".join(f"{found.lost} of {name}" for name, found in counts.items() if found.lost)
+        counts = {self.given_names.get(name, name): one for name, one in bag.counts().items()}
+        lost = ", ".join(f"{one.lost} of {name}" for name, one in counts.items() if one.lost)
         if lost:
             print(f"logger: LOST {lost}", file=sys.stderr, flush=True)
-        messages = ", ".join(f"{found.messages} of {name}" for name, found in counts.items())
+        messages = ", ".join(f"{one.messages} of {name}" for name, one in counts.items())
         return f"wrote {bag.directory}: {messages or 'nothing came'}"
 
     def pause(self) -> str:
@@ -305,10 +292,6 @@ class Logger(AbraceNode):
             self.input.destroy_node()
         if self.errors:
             raise AbraceError(f"{len(self.errors)} topics not recorded as asked: {', '.join(self.errors)}")
-
-
-def _drop(payload: bytes, received: int, published: int) -> None:
-    """In place of `write` in a pause."""
 
 
 def main() -> int:
