@@ -10,7 +10,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2.metadata import dump_qos_v9
 
 from abrace_bags import offered_qos
-from abrace_bags.qos import DEFAULT_QOS, UNKNOWN_QOS, asks_more, combined_qos, common_qos, in_words, parse_qos
+from abrace_bags.qos import DEFAULT_QOS, UNKNOWN_QOS, combined_qos, common_qos, in_words, parse_qos
 from abrace_core.errors import AbraceError
 
 BEST_EFFORT = DEFAULT_QOS._replace(reliability=QosReliability.BEST_EFFORT)
@@ -87,10 +87,6 @@ def test_a_subscriber_may_ask_for_what_all_publishers_offer() -> None:
     assert common_qos([TRANSIENT_LOCAL, TRANSIENT_LOCAL], 7) == TRANSIENT_LOCAL._replace(depth=7)
     assert common_qos([TRANSIENT_LOCAL, DEFAULT_QOS], 7) == DEFAULT_QOS._replace(depth=7)
     assert common_qos([BEST_EFFORT, DEFAULT_QOS], 7) == BEST_EFFORT._replace(depth=7)
-    assert asks_more(DEFAULT_QOS, BEST_EFFORT)
-    assert asks_more(TRANSIENT_LOCAL, DEFAULT_QOS)
-    assert not asks_more(BEST_EFFORT, DEFAULT_QOS)
-    assert not asks_more(DEFAULT_QOS, TRANSIENT_LOCAL)
 
 
 def test_qos_of_rclpy_goes_there_and_back() -> None:

@@ -45,13 +45,7 @@ class TopicCounts(SequenceCounter):
 
 
 def is_numbered(definition_text: str) -> bool:
-    """Whether messages of a type begin with a header and a `sequence`, as the rig's do.
-
-    Parameters
-    ----------
-    definition_text
-        The .msg text.
-    """
+    """Whether messages begin with a header and a `sequence`, as the rig's do, by the `definition_text` (.msg)."""
     try:
         head = parse_fields(definition_text.partition("=" * 80)[0])[:2]
     except AbraceError:
@@ -60,13 +54,7 @@ def is_numbered(definition_text: str) -> bool:
 
 
 def sequence_number(payload: bytes) -> int:
-    """The `sequence` of a numbered message; -1 where the message is too short to have one.
-
-    Parameters
-    ----------
-    payload
-        The serialised message.
-    """
+    """The `sequence` of a numbered message, the serialised `payload`; -1 if that is too short to have one."""
     try:
         number: int = _SEQUENCE.unpack_from(payload, wire.head(payload).offset)[0]
     except (AbraceError, struct.error):
@@ -75,13 +63,7 @@ def sequence_number(payload: bytes) -> int:
 
 
 def counts_record(counts: Mapping[str, TopicCounts]) -> dict[str, str]:
-    """The texts of the metadata record.
-
-    Parameters
-    ----------
-    counts
-        By topic.
-    """
+    """The texts of the metadata record from `counts` by topic."""
     return {
         topic: json.dumps({"messages": one.messages, "gaps": one.gaps, "missing": one.missing, "lost": one.lost})
         for topic, one in counts.items()
@@ -89,13 +71,7 @@ def counts_record(counts: Mapping[str, TopicCounts]) -> dict[str, str]:
 
 
 def lost_messages(records: Mapping[str, Mapping[str, str]]) -> dict[str, int]:
-    """Messages lost at recording, by topic; without those topics of which the bag does not tell.
-
-    Parameters
-    ----------
-    records
-        The bag's metadata records.
-    """
+    """Messages lost at recording by topic, of those topics that a bag's metadata `records` have."""
     losses = {}
     for topic, text in records.get(COUNTS_RECORD, {}).items():
         try:

@@ -34,13 +34,7 @@ _CLOCK_END = 2**31 * 10**9
 
 
 def without_commands(bag: RawBag) -> RawBag:
-    """A bag without the topics that a rig obeys, with a warning: nobody moves a rig by not naming topics to replay.
-
-    Parameters
-    ----------
-    bag
-        To be replayed.
-    """
+    """A `bag` without the inputs of a rig, with a warning: nobody moves a rig by not naming topics to replay."""
 
     def is_input(topic: RecordedTopic) -> bool:
         return topic.type_name == COMMAND_TYPE or topic.name.rpartition("/")[2] in RIG_INPUTS
@@ -89,12 +83,7 @@ def _log_time(message: RawMessage) -> int:
 
 
 def check_type(topic: RecordedTopic) -> None:
-    """Check that the message type that is installed is the recorded one.
-
-    Parameters
-    ----------
-    topic
-        To be replayed.
+    """Check that the installed message type of a `topic` is the recorded one.
 
     Raises
     ------
@@ -113,16 +102,7 @@ def check_type(topic: RecordedTopic) -> None:
 
 
 def check_clock(bag: str, topics: Mapping[str, RecordedTopic], messages: Sequence[RawMessage]) -> None:
-    """Check that a bag's time can be published on /clock.
-
-    Parameters
-    ----------
-    bag
-        For the error's words.
-    topics
-        Those to replay, by name.
-    messages
-        Those to replay, at least one.
+    """Check that the time of a `bag` can be published on /clock when these `topics` and `messages` are replayed.
 
     Raises
     ------
@@ -173,16 +153,9 @@ def sibling_topic(topic: str, name: str) -> str:
 
 
 def replayed_qos(recorded: Qos, least_depth: int) -> Qos:
-    """The QoS with which a topic is replayed: as recorded, but of greater depth, so that slow subscribers lose nothing.
+    """The `recorded` QoS with a depth of at least `least_depth`, so that slow subscribers lose nothing.
 
-    The depth of a transient local topic stays: it is how many messages a late subscriber receives.
-
-    Parameters
-    ----------
-    recorded
-        QoS of the topic.
-    least_depth
-        Of the publisher.
+    A transient local topic keeps its depth: so many messages a late subscriber receives.
     """
     if recorded.durability is QosDurability.TRANSIENT_LOCAL:
         return recorded._replace(depth=recorded.depth or least_depth)
@@ -278,13 +251,7 @@ class BagPlayback:
 
 
 class Answers:
-    """Plays a bag sample by sample: the next one when a command has answered the last.
-
-    Parameters
-    ----------
-    topic
-        Of the samples.
-    """
+    """Plays a bag sample by sample, each when a command has answered the last; `topic` is that of the samples."""
 
     def __init__(self, topic: str) -> None:
         self._topic = topic
@@ -293,12 +260,7 @@ class Answers:
         """Number of the sample that is to be answered; None: the last one has been."""
 
     def next_messages(self, playback: BagPlayback) -> Iterator[RawMessage]:
-        """Play all messages up to the next sample and the sample itself, which then is to be answered.
-
-        Parameters
-        ----------
-        playback
-            Of the bag.
+        """Play all messages of a `playback` up to the next sample and the sample, which then is to be answered.
 
         Raises
         ------

@@ -59,13 +59,7 @@ def offered_qos(profile: Any) -> Qos:
 
 
 def in_words(qos: Qos) -> dict[str, Any]:
-    """A profile in rosbag2's words, plain for YAML.
-
-    Parameters
-    ----------
-    qos
-        Of one publisher.
-    """
+    """The profile `qos` in rosbag2's words, plain for YAML."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, Enum):
@@ -149,35 +143,13 @@ def combined_qos(offers: Sequence[Qos]) -> Qos:
 
 
 def common_qos(offers: Sequence[Qos], depth: int) -> Qos:
-    """What one subscriber may ask for to be served by several publishers.
-
-    Parameters
-    ----------
-    offers
-        Of each publisher, at least one.
-    depth
-        Messages that may wait for the subscriber.
-    """
+    """The QoS for a subscriber, of this `depth`, to several publishers, of which each has one of the `offers`."""
     reliable = all(one.reliability is QosReliability.RELIABLE for one in offers)
     transient_local = all(one.durability is QosDurability.TRANSIENT_LOCAL for one in offers)
     return UNKNOWN_QOS._replace(
         depth=depth,
         reliability=QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
         durability=QosDurability.TRANSIENT_LOCAL if transient_local else QosDurability.VOLATILE,
-    )
-
-
-def asks_more(asked: Qos, offered: Qos) -> bool:
-    """Whether a subscriber asks for more than is offered, so that it is not served.
-
-    Parameters
-    ----------
-    asked, offered
-        QoS of the subscriber and of the publisher, as far as reliability and durability go.
-    """
-    reliable, transient_local = QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL
-    return (asked.reliability is reliable and offered.reliability is not reliable) or (
-        asked.durability is transient_local and offered.durability is not transient_local
     )
 
 

@@ -208,12 +208,7 @@ class Recording:
 
 
 def parse_facts(texts: Sequence[str]) -> dict[str, str]:
-    """The facts of a run from texts `key=value`.
-
-    Parameters
-    ----------
-    texts
-        Each with another key.
+    """The facts of a run from `texts` of the form key=value.
 
     Raises
     ------

@@ -11,36 +11,18 @@ if TYPE_CHECKING:
 
 
 class SequenceCounter:
-    """Counts the numbers that a stream of messages leaves out; a number that does not rise begins a new run, no gap.
-
-    Attributes
-    ----------
-    sequence
-        Number of the last message; -1: none yet.
-    gaps
-        Places where numbers are missing.
-    missing
-        Numbers missing in all.
-    """
+    """Counts the numbers that a stream of messages leaves out; a number that does not rise begins a new run, no gap."""
 
     def __init__(self) -> None:
         self.sequence = -1
+        """Number of the last message; -1: none yet."""
         self.gaps = 0
+        """Places where numbers are missing."""
         self.missing = 0
+        """Numbers missing in all."""
 
     def add(self, number: int) -> int:
-        """Count a message.
-
-        Parameters
-        ----------
-        number
-            Its number.
-
-        Returns
-        -------
-        int
-            Numbers missing just before it; -1 where a new run begins, as with the first message.
-        """
+        """Count the `number` of a message; returns how many are missing just before it, -1 where a new run begins."""
         last, self.sequence = self.sequence, number
         if last < 0 or number <= last:
             return -1
@@ -56,25 +38,14 @@ class SequenceCounter:
 
 
 def breaks(sequence: NDArray[Any]) -> NDArray[np.intp]:
-    """Where an array of numbers does not go on with the next one: positions of the numbers before the breaks.
-
-    Parameters
-    ----------
-    sequence
-        (messages,) whole numbers, in the order of the messages.
-    """
+    """Positions in a `sequence` (messages,) of whole numbers that the next number does not follow."""
     return np.flatnonzero(sequence[1:] - sequence[:-1] != 1)
 
 
 def missing_numbers(sequence: NDArray[Any]) -> tuple[int, int]:
     """Gaps between the least and the greatest of the recorded numbers, and how many numbers are missing in them.
 
-    The order of the messages does not matter, nor whether a number comes again: several runs in one bag count as one.
-
-    Parameters
-    ----------
-    sequence
-        (messages,) whole numbers; may be empty.
+    In a `sequence` (messages,) of several runs these count as one: neither order nor repeated numbers matter.
     """
     if not sequence.size:
         return 0, 0

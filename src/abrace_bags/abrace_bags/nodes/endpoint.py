@@ -15,20 +15,7 @@ if TYPE_CHECKING:
 
 
 def message_class(topic: str, type_name: str) -> type:
-    """The class of a message type.
-
-    Parameters
-    ----------
-    topic
-        For the error's words.
-    type_name
-        As `std_msgs/msg/String`.
-
-    Raises
-    ------
-    AbraceError
-        If the type is not installed for Python.
-    """
+    """The class of a topic's message type, as `std_msgs/msg/String`; an AbraceError if it is not installed."""
     package, _, name = type_name.split("/")
     try:
         found: type = getattr(importlib.import_module(f"{package}.msg"), name)
@@ -38,13 +25,7 @@ def message_class(topic: str, type_name: str) -> type:
 
 
 def qos_profile(qos: Qos) -> QoSProfile:
-    """A QoS for rclpy: the inverse of `offered_qos`.
-
-    Parameters
-    ----------
-    qos
-        Found in a bag, or combined of what publishers offer.
-    """
+    """The profile of a QoS: the inverse of `offered_qos`."""
     return QoSProfile(
         history=HistoryPolicy[qos.history.name],
         depth=qos.depth,

@@ -11,7 +11,7 @@ from rclpy.type_hash import TypeHash
 from rosbags.interfaces import QosDurability
 
 from abrace_bags.nodes.endpoint import message_class, qos_profile
-from abrace_bags.qos import asks_more, common_qos, offered_qos
+from abrace_bags.qos import common_qos, offered_qos
 from abrace_bags.topic_choice import Publisher, common_definition
 from abrace_core.errors import AbraceError
 from abrace_core.sequence import SequenceCounter
@@ -102,7 +102,7 @@ class RawSubscription:
                 f"topic {self._topic}: is of type {now} now, expected {self.definition.type_name} as before"
             )
         qos = common_qos([publisher.qos for publisher in publishers], DEPTH)
-        if not asks_more(self._qos, qos):
+        if common_qos([self._qos, qos], DEPTH) == self._qos:
             return 0
         new = self._subscribe(qos)
         received = self.receive(DEPTH, write)
@@ -148,15 +148,7 @@ class RawSubscription:
 
 
 def publishers_of(node: Node, topic: str) -> list[Publisher]:
-    """The publishers of a topic that a `node` has discovered.
-
-    Parameters
-    ----------
-    node
-        Any node.
-    topic
-        Full name.
-    """
+    """The publishers of a topic, by its full name, that a node has discovered."""
     # a publisher from before ROS 2 Iron has no hash
     return [
         Publisher(
