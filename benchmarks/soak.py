@@ -24,7 +24,7 @@ from logger_endurance import LOAD, cpu_seconds, flood_rates, running
 from abrace.campaign.runner import run_campaign
 from abrace.report.table import Table
 from abrace_bags import read_topics
-from abrace_bags.losses import tallied_losses
+from abrace_bags.losses import lost_messages
 from abrace_core.controller_file import save_controller
 from abrace_core.files import write_text
 
@@ -97,7 +97,7 @@ def record_graph(duration: float) -> dict[str, Any]:
     (bag,) = Path("bags/soak").glob("*/closed_loop")
     found = read_topics(bag, [f"/soak/{topic}" for topic in LOOP])
     recorded = {topic: found[f"/soak/{topic}"].log_time.size for topic in LOOP}
-    lost = tallied_losses(found.records)
+    lost = lost_messages(found.records)
     return {
         # the plant says how many samples it published; of what answers them the middleware's numbers tell
         "messages": step["samples"] + sum(recorded[topic] + lost[f"/soak/{topic}"] for topic in LOOP[1:]),

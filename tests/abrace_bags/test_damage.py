@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 from reference_messages import DEFINITIONS, HASHES, RESPONSE, STORE, STRING, note, response_message, serialised
 from rosbags.highlevel import AnyReader
 
-from abrace_bags import BagWriter, read_topics, recover
+from abrace_bags import DEFAULT_QOS, BagWriter, read_topics, recover
 from abrace_bags.mcap.attachments import file_attachments
 from abrace_core.errors import AbraceError
 
@@ -32,7 +32,9 @@ def response(k: int) -> bytes:
 def write_bag(directory: Path, samples: int, flush_every: int = 10**9) -> Path:
     """Responses and, after every fifth, a note; returns the MCAP file."""
     with BagWriter(directory, FACTS) as bag:
-        responses = bag.add_topic("/response", RESPONSE, DEFINITIONS[RESPONSE], HASHES[RESPONSE], {"depth": 77})
+        responses = bag.add_topic(
+            "/response", RESPONSE, DEFINITIONS[RESPONSE], HASHES[RESPONSE], DEFAULT_QOS._replace(depth=77)
+        )
         notes = bag.add_topic("/note", STRING, DEFINITIONS[STRING], HASHES[STRING])
         for k in range(samples):
             bag.write(responses, response(k), 10 * k, 10 * k + 1)
@@ -235,8 +237,9 @@ def test_a_cut_off_file_does_not_hang_on_its_first_chunk(tmp_path: Path) -> None
 def test_a_recovered_bag_keeps_files_records_and_losses(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text("storeys: 3\n")
     attached = file_attachments([tmp_path / "rig.yaml"])
+    qos = DEFAULT_QOS._replace(depth=3), DEFAULT_QOS._replace(depth=5)
     with BagWriter(tmp_path / "bag", FACTS, records={"versions": {"python": "3"}}, attachments=attached) as bag:
-        topic = bag.add_topic("/note", STRING, DEFINITIONS[STRING], HASHES[STRING], {"depth": 3}, {"depth": 5})
+        topic = bag.add_topic("/note", STRING, DEFINITIONS[STRING], HASHES[STRING], *qos)
         bag.write(topic, note("a"), 10, 10)
         bag.add_lost(topic, 7)
     recover(tmp_path / "bag", tmp_path / "whole")

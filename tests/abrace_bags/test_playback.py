@@ -5,18 +5,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from rosbags.interfaces import QosDurability
 
 from abrace_bags import message_definition
 from abrace_bags.playback import (
     Answers,
     BagPlayback,
-    beside,
+    check_clock,
     check_type,
     excerpt,
+    replayed_qos,
     response_topic,
+    sibling_topic,
     without_commands,
 )
-from abrace_bags.qos import RecordedQos
+from abrace_bags.qos import DEFAULT_QOS, UNKNOWN_QOS
 from abrace_bags.raw import RawBag, RawMessage, RecordedTopic
 from abrace_core.errors import AbraceError
 from abrace_core.wire import BraceCommands, Responses
@@ -34,12 +37,12 @@ RESPONSE, COMMAND, STRING = (
 
 def messages(*milliseconds: int) -> list[RawMessage]:
     """Messages of these times, with their numbers as bytes."""
-    return [RawMessage("/said", bytes([k]), BEGIN + time * 1_000_000) for k, time in enumerate(milliseconds)]
+    return [RawMessage("/note", bytes([k]), BEGIN + time * 1_000_000) for k, time in enumerate(milliseconds)]
 
 
 def topics(**types: str) -> dict[str, RecordedTopic]:
     """Topics in the namespace /lab."""
-    return {f"/lab/{name}": RecordedTopic(f"/lab/{name}", kind, "", RecordedQos()) for name, kind in types.items()}
+    return {f"/lab/{name}": RecordedTopic(f"/lab/{name}", kind, "", UNKNOWN_QOS) for name, kind in types.items()}
 
 
 def times(part: Sequence[RawMessage]) -> list[int]:
@@ -71,16 +74,16 @@ def test_messages_are_due_at_their_distances_over_the_rate(rate: float) -> None:
     found = []
     while playback.due is not None:
         found.append(playback.due)
-        playback.take()
+        playback.next_message()
     assert found == pytest.approx([100.0, 100.0 + 0.01 / rate, 100.0 + 0.25 / rate], abs=1e-9)
     assert playback.ended
     assert playback.played == 3
 
 
-def test_a_stopped_clock_takes_nothing_from_the_time_to_the_next_message() -> None:
+def test_a_stopped_clock_keeps_the_time_to_the_next_message() -> None:
     playback = BagPlayback(messages(0, 100), 1.0, loop=False)
     playback.start_clock(10.0)
-    playback.take()
+    playback.next_message()
     playback.stop_clock(10.04)
     assert playback.due is None
     assert playback.bag_time(70.0) == BEGIN + 40_000_000
@@ -97,10 +100,10 @@ def test_bag_time_goes_with_the_rate_and_stays_within_the_messages() -> None:
     assert playback.bag_time(99.0) == BEGIN + 100_000_000
 
 
-def test_a_message_taken_early_is_where_the_clock_goes_on() -> None:
+def test_the_clock_goes_on_from_a_message_stepped_to() -> None:
     playback = BagPlayback(messages(0, 100, 130), 1.0, loop=False)
-    assert playback.take_early().payload == b"\0"
-    assert playback.take_early().payload == b"\1"
+    assert playback.step().payload == b"\0"
+    assert playback.step().payload == b"\1"
     assert playback.bag_time(50.0) == BEGIN + 100_000_000
     playback.start_clock(60.0)
     assert playback.due == pytest.approx(60.03, abs=1e-9)
@@ -114,7 +117,7 @@ def test_a_round_of_a_loop_begins_one_mean_interval_after_the_last_message(rate:
     for _ in range(7):
         assert playback.due is not None
         found.append((playback.due - 7.0) * rate)
-        playback.take()
+        playback.next_message()
     assert found == pytest.approx([0.0, 0.01, 0.04, 0.06, 0.07, 0.10, 0.12], abs=1e-9)
     assert not playback.ended
     assert playback.played == 7
@@ -131,81 +134,105 @@ def test_bag_time_does_not_go_back_for_a_message_that_was_overdue() -> None:
     playback.start_clock(10.0)
     playback.stop_clock(10.15)
     for expected in (150, 150, 200):
-        playback.take_early()
+        playback.step()
         assert playback.bag_time(99.0) == BEGIN + expected * 1_000_000
 
 
-def test_bag_time_begins_anew_with_each_round_of_messages_taken_early() -> None:
+def test_bag_time_begins_anew_with_each_round_of_steps() -> None:
     playback = BagPlayback(messages(0, 100, 200), 1.0, loop=True)
     found = []
     for _ in range(6):
-        playback.take_early()
+        playback.step()
         found.append((playback.bag_time(99.0) - BEGIN) // 1_000_000)
     assert found == [0, 100, 0, 0, 100, 0], "with the last message the next round has begun"
 
 
 def test_a_sample_waits_for_the_command_with_its_number() -> None:
     responses, commands = Responses(), BraceCommands()
-    answers = Answers("/lab/response")
+    samples = [responses.pack(0, number, [0.0], [0.0], [0.0], [0.0], [0.0], 0.0) for number in (41, 42)]
+    content = [
+        RawMessage("/lab/note", b"anything", BEGIN),
+        RawMessage("/lab/response", samples[0], BEGIN),
+        RawMessage("/lab/response", samples[1], BEGIN + 1),
+        RawMessage("/lab/note", b"the last", BEGIN + 2),
+    ]
+    playback, answers = BagPlayback(content, 1.0, loop=False), Answers("/lab/response")
     assert answers.missing is None
-    answers.played(RawMessage("/lab/said", b"anything", 1))
-    assert answers.missing is None
-    sample = responses.pack(0, 41, [0.0], [0.0], [0.0], [0.0], [0.0], 0.0)
-    answers.played(RawMessage("/lab/response", sample, 1))
+    assert list(answers.next_messages(playback)) == content[:2]
     assert answers.missing == 41
-    assert not answers.take(commands.pack(0, 40, [1.0]))
-    assert answers.take(commands.pack(0, 41, [1.0]))
+    assert not list(answers.next_messages(playback)), "the sample has not been answered"
+    assert not answers.receive(commands.pack(0, 40, [1.0]))
+    assert answers.receive(commands.pack(0, 41, [1.0]))
     assert answers.missing is None
-    assert not answers.take(commands.pack(0, 41, [1.0])), "a second answer"
+    assert not answers.receive(commands.pack(0, 41, [1.0])), "a second answer"
+    assert list(answers.next_messages(playback)) == content[2:3]
+    assert answers.receive(commands.pack(0, 42, [1.0]))
+    assert list(answers.next_messages(playback)) == content[3:]
+
+
+def test_a_time_that_a_clock_cannot_hold_is_refused() -> None:
+    check_clock("bag", topics(note=STRING), messages(0, 10))
+    with pytest.raises(AbraceError, match="parameter clock: /clock can't have the times of bag, expected 1970 to 2038"):
+        check_clock("bag", {}, [RawMessage("/note", b"", 2**31 * 10**9)])
+    with pytest.raises(AbraceError, match="parameter clock: /clock of the bag is replayed"):
+        check_clock("bag", {"/clock": RecordedTopic("/clock", STRING, "", UNKNOWN_QOS)}, messages(0))
+
+
+def test_a_topic_is_replayed_with_its_qos_but_no_small_depth() -> None:
+    transient_local = DEFAULT_QOS._replace(durability=QosDurability.TRANSIENT_LOCAL)
+    assert replayed_qos(DEFAULT_QOS, 5000) == DEFAULT_QOS._replace(depth=5000)
+    assert replayed_qos(DEFAULT_QOS._replace(depth=9000), 5000).depth == 9000
+    assert replayed_qos(transient_local, 5000) == transient_local
+    assert replayed_qos(transient_local._replace(depth=0), 5000).depth == 5000
 
 
 def test_the_topic_of_responses_is_found_and_has_to_be_the_only_one() -> None:
     sample = [RawMessage("/lab/response", b"", BEGIN)]
-    assert response_topic(topics(response=RESPONSE, said=STRING), sample) == "/lab/response"
+    assert response_topic(topics(response=RESPONSE, note=STRING), sample) == "/lab/response"
     with pytest.raises(AbraceError, match=r"2 topics of .* to replay \(/lab/one, /lab/two\), expected one"):
         response_topic(topics(two=RESPONSE, one=RESPONSE), sample)
     with pytest.raises(AbraceError, match=r"0 topics of .* to replay \(none\), expected one"):
-        response_topic(topics(said=STRING), sample)
+        response_topic(topics(note=STRING), sample)
     with pytest.raises(AbraceError, match="/lab/brace_command answers /lab/response and can't be replayed as well"):
         response_topic(topics(response=RESPONSE, brace_command=COMMAND), sample)
 
 
 def test_a_part_without_a_response_has_nothing_to_answer() -> None:
     with pytest.raises(AbraceError, match="parameter lockstep: no message of /lab/response in the part"):
-        response_topic(topics(response=RESPONSE, said=STRING), [RawMessage("/lab/said", b"", BEGIN)])
+        response_topic(topics(response=RESPONSE, note=STRING), [RawMessage("/lab/note", b"", BEGIN)])
 
 
-def test_what_a_rig_obeys_is_left_out_and_said() -> None:
-    there = topics(
+def test_inputs_of_a_rig_are_left_out_with_a_warning() -> None:
+    recorded = topics(
         response=RESPONSE,
         brace_command=COMMAND,
         force=COMMAND,
         ground_motion=STRING,
         emergency_stop=STRING,
-        said=STRING,
+        note=STRING,
     )
-    content = [RawMessage(name, b"", BEGIN + k) for k, name in enumerate(there)]
-    bag = without_commands(RawBag(there, content, ("first",)))
-    assert list(bag.topics) == ["/lab/response", "/lab/said"]
-    assert [message.topic for message in bag.messages] == ["/lab/response", "/lab/said"]
+    content = [RawMessage(name, b"", BEGIN + k) for k, name in enumerate(recorded)]
+    bag = without_commands(RawBag(recorded, content, ("first",)))
+    assert list(bag.topics) == ["/lab/response", "/lab/note"]
+    assert [message.topic for message in bag.messages] == ["/lab/response", "/lab/note"]
     assert bag.warnings[0] == "first"
     assert bag.warnings[1].startswith(
         "/lab/brace_command, /lab/emergency_stop, /lab/force, /lab/ground_motion left out: a rig obeys them"
     )
-    harmless = RawBag(topics(said=STRING), content[-1:], ())
+    harmless = RawBag(topics(note=STRING), content[-1:], ())
     assert without_commands(harmless) == harmless
 
 
 def test_the_answers_are_in_the_namespace_of_the_samples() -> None:
-    assert beside("/lab/east/measured", "brace_command") == "/lab/east/brace_command"
-    assert beside("/response", "brace_command") == "/brace_command"
+    assert sibling_topic("/lab/east/measured", "brace_command") == "/lab/east/brace_command"
+    assert sibling_topic("/response", "brace_command") == "/brace_command"
 
 
 def test_a_type_that_is_another_one_here_is_refused() -> None:
     same = message_definition(STRING).type_hash
     for known in (same, ""):
-        check_type(RecordedTopic("/said", STRING, known, RecordedQos()))
-    with pytest.raises(AbraceError, match=f"topic /said: {STRING} was recorded as RIHS01_0, expected .*{same}"):
-        check_type(RecordedTopic("/said", STRING, "RIHS01_0", RecordedQos()))
-    with pytest.raises(AbraceError, match="topic /said: message type odd_msgs/Odd is not installed"):
-        check_type(RecordedTopic("/said", "odd_msgs/msg/Odd", "", RecordedQos()))
+        check_type(RecordedTopic("/note", STRING, known, UNKNOWN_QOS))
+    with pytest.raises(AbraceError, match=f"topic /note: {STRING} was recorded as RIHS01_0, expected .*{same}"):
+        check_type(RecordedTopic("/note", STRING, "RIHS01_0", UNKNOWN_QOS))
+    with pytest.raises(AbraceError, match="topic /note: message type odd_msgs/Odd is not installed"):
+        check_type(RecordedTopic("/note", "odd_msgs/msg/Odd", "", UNKNOWN_QOS))

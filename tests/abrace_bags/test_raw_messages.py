@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-import yaml
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -21,7 +20,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from abrace_bags import BagWriter
-from abrace_bags.qos import RecordedQos, recorded_qos
+from abrace_bags.qos import DEFAULT_QOS
 from abrace_bags.raw import read_raw
 from abrace_core.errors import AbraceError
 
@@ -33,7 +32,7 @@ STRING = "std_msgs/msg/String"
 STORE = get_typestore(Stores.ROS2_JAZZY)
 HASH = STORE.hash_rihs01(STRING)
 FOREVER = QosTime(2147483647, 4294967295)
-LATCHED = Qos(
+TRANSIENT_LOCAL = Qos(
     QosHistory.KEEP_LAST, 3, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, QosTime(0, 5), FOREVER,
     QosLiveliness.AUTOMATIC, FOREVER, False,
 )  # fmt: skip
@@ -48,9 +47,8 @@ def messages(count: int = 300) -> list[Message]:
 
 def write_ours(directory: Path, content: Sequence[Message]) -> Path:
     with BagWriter(directory, {}) as bag:
-        qos = {"durability": "transient_local", "depth": 3, "deadline": {"sec": 0, "nsec": 5}}
         numbers = {
-            "/a/said": bag.add_topic("/a/said", STRING, "string data\n", HASH, qos),
+            "/a/said": bag.add_topic("/a/said", STRING, "string data\n", HASH, TRANSIENT_LOCAL),
             "/b/said": bag.add_topic("/b/said", STRING, "string data\n", HASH),
         }
         for topic, payload, time in content:
@@ -64,7 +62,7 @@ def write_theirs(directory: Path, content: Sequence[Message], plugin: StoragePlu
         writer.set_compression(compression, CompressionFormat.ZSTD)
     with writer as bag:
         connections = {
-            "/a/said": bag.add_connection("/a/said", STRING, typestore=STORE, offered_qos_profiles=[LATCHED]),
+            "/a/said": bag.add_connection("/a/said", STRING, typestore=STORE, offered_qos_profiles=[TRANSIENT_LOCAL]),
             "/b/said": bag.add_connection("/b/said", STRING, typestore=STORE),
         }
         for topic, payload, time in content:
@@ -93,7 +91,8 @@ def test_every_bag_gives_every_message_as_it_was_in_time_order(tmp_path: Path, k
     topic = bag.topics["/a/said"]
     assert topic.type_name == STRING
     assert topic.type_hash == ("" if kind == "mcap" else HASH), "rosbags leaves it out of MCAP files"
-    assert topic.qos == RecordedQos(reliable=True, latched=True, depth=3, deadline=5)
+    forever = DEFAULT_QOS.lifespan
+    assert topic.qos == TRANSIENT_LOCAL._replace(lifespan=forever, liveliness_lease_duration=forever)
 
 
 def test_messages_of_one_time_come_in_the_order_in_which_they_were_written(tmp_path: Path) -> None:
@@ -151,7 +150,7 @@ def test_a_bag_that_was_cut_off_gives_what_is_whole_and_says_so(tmp_path: Path) 
     assert 5000 < len(bag.messages) < len(content)
     assert [tuple(message) for message in bag.messages] == content[: len(bag.messages)]
     assert "cut off or damaged" in bag.warnings[0]
-    assert bag.topics["/a/said"].qos.latched
+    assert bag.topics["/a/said"].qos.durability is QosDurability.TRANSIENT_LOCAL
 
 
 def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
@@ -166,7 +165,7 @@ def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
         read_raw(tmp_path)
 
 
-def two_files(folder: Path, *topics: tuple[str, str, dict[str, Any]]) -> Path:
+def two_files(folder: Path, *topics: tuple[str, str, Qos]) -> Path:
     """A bag in files of which each has the topic /said: its type, hash and QoS."""
     path = folder / "bag"
     path.mkdir()
@@ -178,26 +177,31 @@ def two_files(folder: Path, *topics: tuple[str, str, dict[str, Any]]) -> Path:
 
 
 def test_a_topic_with_two_types_is_refused(tmp_path: Path) -> None:
-    path = two_files(tmp_path, (STRING, HASH, {}), ("std_msgs/msg/Header", "", {}))
+    path = two_files(tmp_path, (STRING, HASH, DEFAULT_QOS), ("std_msgs/msg/Header", "", DEFAULT_QOS))
     with pytest.raises(AbraceError, match=f"topic /said has the types {STRING} and std_msgs/msg/Header"):
         read_raw(path)
 
 
 def test_a_type_that_changed_between_two_files_is_refused(tmp_path: Path) -> None:
-    path = two_files(tmp_path, (STRING, "", {}), (STRING, HASH, {}), (STRING, "RIHS01_0", {}))
+    path = two_files(
+        tmp_path, (STRING, "", DEFAULT_QOS), (STRING, HASH, DEFAULT_QOS), (STRING, "RIHS01_0", DEFAULT_QOS)
+    )
     with pytest.raises(AbraceError, match=f"/said: {STRING} was recorded as {HASH} and as RIHS01_0"):
         read_raw(path)
 
 
 def test_the_offers_of_all_files_are_one(tmp_path: Path) -> None:
-    offers = {"reliability": "best_effort", "depth": 3}, {"durability": "transient_local", "depth": 7}
+    offers = (
+        DEFAULT_QOS._replace(reliability=QosReliability.BEST_EFFORT, depth=3),
+        DEFAULT_QOS._replace(durability=QosDurability.TRANSIENT_LOCAL, depth=7),
+    )
     topic = read_raw(two_files(tmp_path, (STRING, "", offers[0]), (STRING, HASH, offers[1]))).topics["/said"]
-    assert topic.qos == RecordedQos(reliable=True, latched=True, depth=7)
+    assert topic.qos == offers[1]
     assert topic.type_hash == HASH
 
 
 def test_qos_that_makes_no_sense_is_refused_with_its_topic(tmp_path: Path) -> None:
-    path = two_files(tmp_path, (STRING, HASH, {"depth": -4}))
+    path = two_files(tmp_path, (STRING, HASH, DEFAULT_QOS._replace(depth=-4)))
     with pytest.raises(AbraceError, match=r"bag: topic /said: QoS: -4 is less than 0, expected"):
         read_raw(path)
 
@@ -231,56 +235,3 @@ def test_messages_that_a_database_has_no_more_are_said(tmp_path: Path) -> None:
     bag = read_raw(path)
     assert len(bag.messages) == 27
     assert bag.warnings == (f"{path}: 3 of 20 messages of /a/said are missing",)
-
-
-PROFILE = {"history": "keep_last", "depth": 10, "reliability": "reliable", "durability": "volatile"}
-
-
-@pytest.mark.parametrize(
-    ("profiles", "expected"),
-    [
-        ([], RecordedQos()),
-        ([PROFILE], RecordedQos(depth=10)),
-        ([{**PROFILE, "reliability": "best_effort"}], RecordedQos(reliable=False, depth=10)),
-        ([{"history": 1, "depth": 4, "reliability": 2, "durability": 1}], RecordedQos(False, True, depth=4)),
-        ([{**PROFILE, "history": "unknown", "depth": 0}], RecordedQos()),
-        ([{**PROFILE, "history": 2, "liveliness": 3}], RecordedQos(keep_all=True, depth=10, manual_liveliness=True)),
-        ([{**PROFILE, "reliability": "best_effort"}, PROFILE], RecordedQos(depth=10)),
-        ([{**PROFILE, "durability": "transient_local", "depth": 1}, PROFILE], RecordedQos(latched=True, depth=10)),
-        (
-            [
-                {**PROFILE, "deadline": {"sec": 1, "nsec": 5}, "lifespan": {"sec": 2, "nsec": 0}},
-                {**PROFILE, "deadline": {"sec": 9223372036, "nsec": 854775807}, "lifespan": {"sec": 3, "nsec": 0}},
-            ],
-            RecordedQos(depth=10, deadline=1_000_000_005, lifespan=3_000_000_000),
-        ),
-        (
-            [{**PROFILE, "liveliness_lease_duration": {"sec": 2147483647, "nsec": 4294967295}}],
-            RecordedQos(depth=10),
-        ),
-    ],
-)
-def test_one_offer_that_suits_who_took_any_of_the_recorded_ones(
-    profiles: list[dict[str, Any]], expected: RecordedQos
-) -> None:
-    assert recorded_qos(yaml.safe_dump(profiles)) == expected
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "a: 1",
-        "- 3",
-        "[",
-        "- {reliability: 17}",
-        "- {deadline: {sec: 1}}",
-        "- {depth: many}",
-        "- {deadline: 3}",
-        "- {depth: -1}",
-        "- {reliability: -1}",
-        "- {lifespan: {sec: -1, nsec: 0}}",
-    ],
-)
-def test_qos_that_makes_no_sense_is_refused(text: str) -> None:
-    with pytest.raises(AbraceError, match="QoS: "):
-        recorded_qos(text)

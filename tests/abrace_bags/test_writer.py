@@ -1,4 +1,4 @@
-"""What a bag is written with: compression, files, attachments, tallies, a thread of its own, snapshots, choices."""
+"""What a bag is written with: compression, files, attachments, counts, a thread of its own, snapshots, choices."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ import mcap.stream_reader
 import numpy as np
 import pytest
 import yaml
+from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from abrace_bags import BagWriter, read_facts, read_topics
 from abrace_bags.mcap.attachments import file_attachments
 from abrace_bags.mcap.file_writer import McapWriter
-from abrace_bags.snapshot import Snapshot
+from abrace_bags.metadata import installed_versions
+from abrace_bags.qos import DEFAULT_QOS
+from abrace_bags.recording import Recording, parse_facts
 from abrace_bags.topic_choice import TopicChoice
-from abrace_bags.versions import installed_versions
-from abrace_bags.writing_thread import WritingThread
 from abrace_core import wire
 from abrace_core.errors import AbraceError
 
@@ -140,9 +141,10 @@ def test_a_bag_that_cannot_be_begun_is_not_there(tmp_path: Path) -> None:
     assert not (tmp_path / "bag").exists(), "the next try finds no bag in its way"
 
 
-def test_a_topic_keeps_what_each_of_its_publishers_offers(tmp_path: Path) -> None:
+def test_a_topic_keeps_the_qos_of_each_of_its_publishers(tmp_path: Path) -> None:
+    best_effort = DEFAULT_QOS._replace(reliability=QosReliability.BEST_EFFORT)
     with BagWriter(tmp_path / "bag", {}) as bag:
-        bag.add_topic("/note", STRING, TEXT, "RIHS01_0", {"depth": 7}, {"reliability": "best_effort"})
+        bag.add_topic("/note", STRING, TEXT, "RIHS01_0", DEFAULT_QOS._replace(depth=7), best_effort)
     with Reader(tmp_path / "bag") as reader:
         first, second = reader.connections[0].ext.offered_qos_profiles
     assert (first.depth, first.reliability.name) == (7, "RELIABLE")
@@ -194,7 +196,7 @@ def test_counts_gaps_and_losses_stand_at_the_end(tmp_path: Path) -> None:
     assert found["abrace_versions"]["mcap"]
 
 
-def test_what_is_left_out_on_purpose_is_no_gap(tmp_path: Path) -> None:
+def test_an_interruption_is_no_gap(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", {}) as bag:
         topic = bag.add_topic("/response", NUMBERED, NUMBERED_TEXT, "RIHS01_0")
         for sequence in (0, 1):
@@ -202,50 +204,50 @@ def test_what_is_left_out_on_purpose_is_no_gap(tmp_path: Path) -> None:
         bag.interrupt()
         for sequence in (50, 51, 53):
             bag.write(topic, numbered(sequence), START, START)
-        assert (bag.tallies()["/response"].gaps, bag.tallies()["/response"].missing) == (1, 1)
+        assert (bag.counts()["/response"].gaps, bag.counts()["/response"].missing) == (1, 1)
 
 
 def test_the_thread_writes_everything_in_order(tmp_path: Path) -> None:
-    writing = WritingThread(BagWriter(tmp_path / "bag", {}), 0.01)
-    with writing.bag() as bag:
+    recording = Recording(BagWriter(tmp_path / "bag", {}), 0.01)
+    with recording.bag() as bag:
         topic = bag.add_topic("/note", STRING, TEXT, "RIHS01_0")
     for k in range(3000):
-        writing.write(topic, note(str(k)), START + k, START)
+        recording.write(topic, note(str(k)), START + k, START)
         if k == 1500:
-            with writing.bag() as bag:
+            with recording.bag() as bag:
                 bag.split()
-    writing.close()
+    recording.close()
     assert notes_of(tmp_path / "bag") == [str(k) for k in range(3000)]
     assert notes_of(tmp_path / "bag/bag_0.mcap") == [str(k) for k in range(1501)]
-    assert not writing.overflowed
+    assert not recording.overflowed
 
 
-def test_what_the_queue_cannot_hold_is_counted_and_said_in_the_bag(tmp_path: Path) -> None:
+def test_messages_that_the_queue_cannot_hold_are_counted_as_lost_in_the_bag(tmp_path: Path) -> None:
     bag = BagWriter(tmp_path / "bag", {})
     topic = bag.add_topic("/note", STRING, TEXT, "RIHS01_0")
-    writing = WritingThread(bag, 10.0, capacity=50_000)
+    recording = Recording(bag, 10.0, capacity=50_000)
     for k in range(1000):
-        writing.write(topic, note(str(k)), START + k, START)
-    lost = writing.overflowed[topic]
-    writing.close()
+        recording.write(topic, note(str(k)), START + k, START)
+    lost = recording.overflowed[topic]
+    assert recording.close({topic: 3}) is bag
     assert 700 < lost < 1000
     assert notes_of(tmp_path / "bag") == [str(k) for k in range(1000 - lost)]
-    assert bag.tallies()["/note"].lost == lost
+    assert bag.counts()["/note"].lost == lost + 3
 
 
-def test_a_disk_that_fills_is_told_to_the_one_who_writes(tmp_path: Path) -> None:
+def test_a_full_disk_is_an_error_of_the_recording(tmp_path: Path) -> None:
     bag = BagWriter(tmp_path / "bag", {}, compression="none")
     topic = bag.add_topic("/note", STRING, TEXT, "RIHS01_0")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, limits[1]))
     try:
-        writing = WritingThread(bag, 0.01)
+        recording = Recording(bag, 0.01)
         for k in range(10_000):
-            writing.write(topic, note(f"note {k} " + "x" * 100), START + k, START)
+            recording.write(topic, note(f"note {k} " + "x" * 100), START + k, START)
         with pytest.raises(AbraceError, match=r"cannot write bag .*bag: File too large"):
-            writing.close()
+            recording.close()
         with pytest.raises(AbraceError, match="File too large"):
-            writing.check()
+            recording.check()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     kept = notes_of(tmp_path / "bag")
@@ -255,27 +257,29 @@ def test_a_disk_that_fills_is_told_to_the_one_who_writes(tmp_path: Path) -> None
 
 
 @pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_split_that_fails_ends_the_thread_quietly(tmp_path: Path) -> None:
-    writing = WritingThread(BagWriter(tmp_path / "bag", {}), 0.01)
+def test_a_split_that_fails_ends_the_thread_without_a_traceback(tmp_path: Path) -> None:
+    recording = Recording(BagWriter(tmp_path / "bag", {}), 0.01)
     (tmp_path / "bag").rename(tmp_path / "elsewhere")
-    with pytest.raises(AbraceError, match=r"cannot write bag .*bag: No such file"), writing.bag() as bag:
+    with pytest.raises(AbraceError, match=r"cannot write bag .*bag: No such file"), recording.bag() as bag:
         bag.split()
     for thread in threading.enumerate():
         if thread.name == "bag":
             thread.join()
     with pytest.raises(AbraceError, match="No such file"):
-        writing.close()
+        recording.close()
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_whatever_goes_wrong_in_the_thread_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unexpected_error_in_the_thread_is_an_error_of_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bag = BagWriter(tmp_path / "bag", {})
     topic = bag.add_topic("/note", STRING, TEXT, "RIHS01_0")
     monkeypatch.setattr(bag, "write", lambda *_: bytes(2**60))
-    writing = WritingThread(bag, 0.01)
-    writing.write(topic, note(""), START, START)
+    recording = Recording(bag, 0.01)
+    recording.write(topic, note(""), START, START)
     with pytest.raises(AbraceError, match=r"cannot write bag .*bag: MemoryError"):
-        writing.close()
+        recording.close()
 
 
 def test_a_file_that_cannot_be_begun_does_not_cost_those_before_it(
@@ -311,52 +315,65 @@ def test_a_file_is_seen_from_when_it_can_be_read(tmp_path: Path, monkeypatch: py
     assert seen == [[], [0], [1], [1, 0], [1, 0]], "topics in each file"
 
 
-def test_what_a_pause_leaves_out_of_a_snapshot_is_no_gap(tmp_path: Path) -> None:
-    snapshot = Snapshot(2.0)
-    with BagWriter(tmp_path / "bag", {}) as bag:
+def test_an_interruption_of_a_recording_is_no_gap(tmp_path: Path) -> None:
+    for name, snapshot in (("all", 0.0), ("snapshot", 2.0)):
+        bag = BagWriter(tmp_path / name, {})
         topic = bag.add_topic("/response", NUMBERED, NUMBERED_TEXT, "RIHS01_0")
+        recording = Recording(bag, 0.01, snapshot)
         for sequence in (0, 1, 50, 52):
             if sequence == 50:
-                snapshot.interrupt()
-            snapshot.write(topic, numbered(sequence), START, START)
-        assert snapshot.hand_to(bag) == 4
-        assert (bag.tallies()["/response"].gaps, bag.tallies()["/response"].missing) == (1, 1)
+                recording.interrupt()
+            recording.write(topic, numbered(sequence), START, START)
+        if snapshot:
+            assert recording.write_snapshot() == 4
+        recording.close()
+        assert (bag.counts()["/response"].gaps, bag.counts()["/response"].missing) == (1, 1)
 
 
-def test_a_snapshot_stays_small_and_forgets_times_to_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("abrace_bags.snapshot.CAPACITY", 100_000)
-    snapshot = Snapshot(2.0)
-    with BagWriter(tmp_path / "bag", {}) as bag:
-        topic = bag.add_topic("/note", STRING, TEXT, "RIHS01_0")
-        snapshot.write(topic, bytes(200_000), START, START)
-        for k in range(1000):
-            snapshot.write(topic, note(str(k)), START + k, START)
-        assert 400 < snapshot.hand_to(bag) < 500, "a message takes some 200 bytes beside its own"
-        snapshot.write(topic, note("the clock is set back"), START, START)
-        snapshot.write(topic, note("then"), START - 3600 * SECOND, START)
-        assert snapshot.hand_to(bag) == 1
+def test_a_snapshot_stays_small_and_drops_times_to_come(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "bag", {})
+    topic = bag.add_topic("/note", STRING, TEXT, "RIHS01_0")
+    recording = Recording(bag, 10.0, 2.0, capacity=100_000)
+    recording.write(topic, bytes(200_000), START, START)
+    for k in range(1000):
+        recording.write(topic, note(str(k)), START + k, START)
+    assert 400 < recording.write_snapshot() < 500, "a message takes some 200 bytes in addition to its own"
+    recording.write(topic, note("the clock is set back"), START, START)
+    recording.write(topic, note("then"), START - 3600 * SECOND, START)
+    assert recording.write_snapshot() == 1
+    recording.close()
 
 
 def test_a_snapshot_keeps_the_last_seconds_and_nothing_twice(tmp_path: Path) -> None:
-    snapshot = Snapshot(2.0)
-    with BagWriter(tmp_path / "bag", {}) as bag:
+    recording = Recording(BagWriter(tmp_path / "bag", {}), 0.01, 2.0)
+    with recording.bag() as bag:
         topic = bag.add_topic("/note", STRING, TEXT, "RIHS01_0")
-        for k in range(100):
-            snapshot.write(topic, note(str(k)), START + k * SECOND // 10, START)
-        assert snapshot.hand_to(bag) == 21
-        snapshot.write(topic, note("later"), START + 11 * SECOND, START)
-        assert snapshot.hand_to(bag) == 1
+    for k in range(100):
+        recording.write(topic, note(str(k)), START + k * SECOND // 10, START)
+    assert recording.write_snapshot() == 21
+    recording.write(topic, note("later"), START + 11 * SECOND, START)
+    assert recording.write_snapshot() == 1
+    recording.write(topic, note("not requested"), START + 11 * SECOND, START)
+    recording.close()
     assert notes_of(tmp_path / "bag") == [*(str(k) for k in range(79, 100)), "later"]
+    assert not recording.overflowed
+
+
+def test_facts_are_keys_and_values_each_once() -> None:
+    assert parse_facts(["rig=east", "note=a=b"]) == {"rig": "east", "note": "a=b"}
+    for texts, complaint in ((["rig"], "'rig', expected key=value"), (["a=1", "a=2"], "expected each key once")):
+        with pytest.raises(AbraceError, match=f"parameter facts: .*{complaint}"):
+            parse_facts(texts)
 
 
 def test_topics_are_chosen_by_name_by_pattern_or_all_but_hidden_ones() -> None:
-    there = ["/lab/response", "/lab/sensor_1", "/lab/sensor_x", "/lab/_hidden", "/rosout", "/lab/play/_action/status"]
+    topics = ["/lab/response", "/lab/sensor_1", "/lab/sensor_x", "/lab/_hidden", "/rosout", "/lab/play/_action/status"]
     named = TopicChoice(frozenset({"/lab/response", "/lab/_hidden", "/lab/to_come"}))
-    assert named.of(there) == {"/lab/response", "/lab/_hidden"}
-    assert TopicChoice(frozenset(), r"sensor_\d").of(there) == {"/lab/sensor_1"}
+    assert named.of(topics) == {"/lab/response", "/lab/_hidden"}
+    assert TopicChoice(frozenset(), r"sensor_\d").of(topics) == {"/lab/sensor_1"}
     both = TopicChoice(frozenset({"/rosout"}), "sensor")
-    assert both.of(there) == {"/rosout", "/lab/sensor_1", "/lab/sensor_x"}
-    everything = TopicChoice(frozenset(), everything=True).of(there)
+    assert both.of(topics) == {"/rosout", "/lab/sensor_1", "/lab/sensor_x"}
+    everything = TopicChoice(frozenset(), everything=True).of(topics)
     assert everything == {"/lab/response", "/lab/sensor_1", "/lab/sensor_x", "/rosout"}
     with pytest.raises(AbraceError, match=r"pattern '\(': .*expected a regular expression"):
         TopicChoice(frozenset(), "(")

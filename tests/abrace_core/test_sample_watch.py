@@ -23,13 +23,13 @@ def test_the_first_sample_is_a_start():
 def test_samples_in_a_row_are_fine(watch):
     assert [watch.take(k, k * PERIOD) for k in range(11, 20)] == [0] * 9
     assert watch.problem is None
-    assert watch.lost == 0
+    assert watch.missing == 0
 
 
 @pytest.mark.parametrize("lost", range(1, LONGEST_GAP + 1))
 def test_a_few_lost_samples_are_counted_and_no_problem(watch, lost):
     assert watch.take(11 + lost, (11 + lost) * PERIOD) == lost
-    assert watch.lost == lost
+    assert watch.missing == lost
     assert watch.problem is None
 
 

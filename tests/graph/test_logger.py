@@ -21,13 +21,14 @@ from std_msgs.msg import Float64, Header, String
 from std_srvs.srv import Trigger
 
 from abrace_bags import read_facts, read_topics
-from abrace_bags.nodes.logger import Logger, Recorded
-from abrace_bags.nodes.raw_subscription import published_definition
-from abrace_bags.topic_choice import TopicChoice
+from abrace_bags.nodes.logger import Logger, Topic
+from abrace_bags.topic_choice import TopicChoice, common_definition
 from abrace_interfaces.msg import BraceCommand
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+TRANSIENT_LOCAL = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
 
 
 def counted(graph, topic):
@@ -89,7 +90,7 @@ def test_topics_are_found_by_pattern_whatever_their_type_when_they_appear(graph)
 
 def test_all_topics_are_recorded(graph):
     bag = graph.folder / "bag"
-    graph.publisher(String, "note", LATCHED, subscribers=0).publish(String(data="said before"))
+    graph.publisher(String, "note", TRANSIENT_LOCAL, subscribers=0).publish(String(data="said before"))
     graph.start("logger", output=str(bag), all=True)
     note = f"{graph.namespace}/note"
     graph.until(lambda: counted(graph, note) == 1, "the note")
@@ -100,7 +101,7 @@ def test_all_topics_are_recorded(graph):
     assert {f"{graph.namespace}/diagnostics", "/rosout", "/parameter_events"} <= set(topics)
 
 
-def test_a_publisher_that_offers_less_is_recorded_beside_the_first(graph):
+def test_a_publisher_that_offers_less_is_recorded_like_the_first(graph):
     bag = graph.folder / "bag"
     graph.start("logger", output=str(bag), topics=["both"])
     graph.publisher(Float64, "both")
@@ -145,19 +146,19 @@ def test_pause_split_stop_and_start_are_services(graph):
     assert list(read_topics(bag.with_name("bag_2"))[topic].fields["data"]) == [99]
 
 
-def test_a_pause_leaves_out_nothing_that_came_before_it():
+def test_messages_that_came_before_a_pause_are_recorded():
     written = []
 
-    def take(most, write):
+    def receive(most, write):
         for _ in range(min(most, 2000)):
             write(b"", 1, 1)
         return min(most, 2000)
 
     logger = Logger.__new__(Logger)
-    logger.snapshot, logger.paused, logger.publish_diagnostics = None, False, lambda: None
-    logger.writing = SimpleNamespace(write=lambda *message: written.append(message), check=lambda: None)
-    logger.recorded = {"/flood": Recorded(SimpleNamespace(take=take, latched=False), 1)}
-    assert logger.on_pause(Trigger.Request(), Trigger.Response()).message == "paused"
+    logger.paused = False
+    logger.recording = SimpleNamespace(write=lambda *message: written.append(message))
+    logger.topics = {"/flood": Topic(SimpleNamespace(receive=receive, transient_local=False), 1)}
+    assert logger.pause() == "paused"
     assert len(written) == 2000
 
 
@@ -191,8 +192,8 @@ def test_gaps_attachments_versions_and_parameters_are_in_the_bag(graph):
         reader = mcap.reader.make_reader(file, validate_crcs=True)
         records = {record.name: record.metadata for record in reader.iter_metadata()}
         (attachment,) = reader.iter_attachments()
-    tally = json.loads(records["abrace_topics"][f"{graph.namespace}/brace_command"])
-    assert tally == {"messages": 5, "gaps": 1, "missing": 2, "lost": 0}
+    counts = json.loads(records["abrace_topics"][f"{graph.namespace}/brace_command"])
+    assert counts == {"messages": 5, "gaps": 1, "missing": 2, "lost": 0}
     assert json.loads(records["abrace_logger"]["topics"]) == ["brace_command"]
     assert "abrace_core" in records["abrace_versions"]
     assert (attachment.name, attachment.data) == ("rig.yaml", b"storeys: 3\n")
@@ -222,26 +223,26 @@ def test_a_topic_with_two_types_is_a_fault_and_the_others_are_recorded_on(graph,
     assert (bag / "metadata.yaml").is_file()
 
 
-def test_a_topic_is_tried_again_when_its_publishers_change_and_complained_of_once(capfd):
-    there = {"/odd": ["std_msgs/msg/String", "std_msgs/msg/Bool"]}
+def test_a_topic_is_tried_again_when_its_publishers_change_and_reported_once(capfd):
+    found = {"/odd": ["std_msgs/msg/String", "std_msgs/msg/Bool"]}
     tried = []
 
     def record(name, publishers):
         tried.append(len(publishers))
-        published_definition(name, publishers)
+        common_definition(name, publishers)
 
     logger = Logger.__new__(Logger)
-    logger.writing, logger.matched, logger.publish_diagnostics = object(), 0, lambda: None
-    logger.recorded, logger.complaints, logger.refused = {}, {}, {}
-    logger.choice, logger.record = TopicChoice(frozenset(there)), record
-    logger.get_topic_names_and_types = there.items
-    logger.count_publishers = lambda name: len(there[name])
-    logger.get_publishers_info_by_topic = lambda name: [TopicEndpointInfo(topic_type=kind) for kind in there[name]]
+    logger.recording, logger.matched, logger.publish_diagnostics = object(), 0, lambda: None
+    logger.topics, logger.errors, logger.refused = {}, {}, {}
+    logger.choice, logger.record = TopicChoice(frozenset(found)), record
+    logger.get_topic_names_and_types = found.items
+    logger.count_publishers = lambda name: len(found[name])
+    logger.get_publishers_info_by_topic = lambda name: [TopicEndpointInfo(topic_type=kind) for kind in found[name]]
     for _ in range(5):
-        logger.look_for_topics()
+        logger.discover()
     assert tried == [2]
-    there["/odd"] = ["std_msgs/msg/String"]
-    logger.look_for_topics()
+    found["/odd"] = ["std_msgs/msg/String"]
+    logger.discover()
     assert tried == [2, 1]
     assert capfd.readouterr().err.count("/odd: has the types std_msgs/msg/Bool, std_msgs/msg/String") == 1
 

@@ -9,11 +9,12 @@ import pytest
 import rclpy
 from ament_index_python.packages import get_package_share_directory
 from rclpy.serialization import serialize_message
+from rosbags.interfaces import QosDurability
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from abrace_bags import BagWriter, message_definition, read_topics
+from abrace_bags import DEFAULT_QOS, BagWriter, message_definition, read_topics
 from abrace_bags.nodes.replay import Replay
 from abrace_bags.raw import read_raw
 from abrace_core.controller_file import Controller, save_controller
@@ -33,10 +34,10 @@ STEP = 20_000_000
 LIMIT = 4e3
 
 
-def end_of_replay(graph: Any, said: str) -> int:
-    """Wait for its end, and look at what it said last."""
+def end_of_replay(graph: Any, expected: str) -> int:
+    """Wait for its end, and look for a text in its output."""
     code = graph.ended("replay")
-    assert any(said in line for line in graph.said("replay")), graph.said("replay")
+    assert any(expected in line for line in graph.said("replay")), graph.said("replay")
     assert "Traceback" not in "\n".join(graph.said("replay"))
     return int(code)
 
@@ -91,15 +92,16 @@ def text(words: str) -> bytes:
 
 @pytest.fixture
 def texts(tmp_path: Path) -> Path:
-    """A bag of ten texts on /lab/said, 20 ms apart, and one latched on /lab/title."""
+    """A bag of ten texts on /lab/note, 20 ms apart, and one on /lab/title, which is transient local."""
     definition = message_definition("std_msgs/msg/String")
     arguments = ("std_msgs/msg/String", definition.text, definition.type_hash)
+    transient_local = DEFAULT_QOS._replace(durability=QosDurability.TRANSIENT_LOCAL, depth=1)
     with BagWriter(tmp_path / "texts", {}) as bag:
-        said = bag.add_topic("/lab/said", *arguments)
-        title = bag.add_topic("/lab/title", *arguments, {"durability": "transient_local", "depth": 1})
+        note = bag.add_topic("/lab/note", *arguments)
+        title = bag.add_topic("/lab/title", *arguments, transient_local)
         bag.write(title, text("the title"), 10**9, 10**9)
         for k in range(10):
-            bag.write(said, text(f"words {k}"), 10**9 + k * STEP, 10**9)
+            bag.write(note, text(f"words {k}"), 10**9 + k * STEP, 10**9)
     return tmp_path / "texts"
 
 
@@ -131,7 +133,7 @@ def test_a_controller_answers_the_recorded_responses_with_the_recorded_commands_
     assert commands == recorded
 
 
-def test_a_lockstep_replay_begins_when_who_answers_takes_the_samples(
+def test_a_lockstep_replay_begins_when_a_commander_has_subscribed_to_the_samples(
     graph: Any, run: tuple[Path, str], context: rclpy.Context
 ) -> None:
     bag, namespace = run
@@ -151,7 +153,7 @@ def test_a_lockstep_replay_begins_when_who_answers_takes_the_samples(
     hand.destroy_node()
 
 
-def test_responses_are_not_replayed_beside_a_rig_that_publishes_them(graph: Any, run: tuple[Path, str]) -> None:
+def test_responses_are_not_replayed_where_a_rig_publishes_them(graph: Any, run: tuple[Path, str]) -> None:
     bag, namespace = run
     graph.start("replay", "-r", f"{namespace}/response:=response", bag=str(bag), start_paused=True)
     graph.until_matched("replay", **{f"{namespace}/response": 0})
@@ -171,17 +173,19 @@ def test_a_response_without_an_answer_ends_a_lockstep_replay(graph: Any, run: tu
     assert [response.sequence for response in responses] in ([], [0])
 
 
-def test_every_message_comes_again_as_it_was_and_the_latched_one_to_who_comes_late(graph: Any, texts: Path) -> None:
-    said = listen_raw(graph, String, "words")
+def test_every_message_comes_again_as_it_was_and_a_transient_local_one_to_a_late_subscriber(
+    graph: Any, texts: Path
+) -> None:
+    notes = listen_raw(graph, String, "words")
     clock = graph.listen(Clock, "/clock")
-    remap = ("-r", "/lab/said:=words", "-r", "/lab/title:=title")
+    remap = ("-r", "/lab/note:=words", "-r", "/lab/title:=title")
     graph.start("replay", *remap, bag=str(texts), start_paused=True, clock=True, rate=0.5)
-    graph.until_matched("replay", **{"/lab/said": 1})
+    graph.until_matched("replay", **{"/lab/note": 1})
     assert graph.call(Trigger, "replay/step", Trigger.Request()).success
     assert graph.call(Trigger, "replay/step", Trigger.Request()).success
-    graph.until(lambda: len(said) == 1, "the first word")
+    graph.until(lambda: len(notes) == 1, "the first word")
     title = graph.listen(String, "title", LATCHED_QOS)
-    graph.until(lambda: title, "the latched title")
+    graph.until(lambda: title, "the title")
     assert title[0].data == "the title"
     assert graph.call(SetBool, "replay/pause", SetBool.Request(data=True)).message == "paused"
     graph.until(lambda: clock, "the bag's time")
@@ -190,8 +194,8 @@ def test_every_message_comes_again_as_it_was_and_the_latched_one_to_who_comes_la
     graph.may_end.add("replay")
     assert graph.call(SetBool, "replay/pause", SetBool.Request(data=False)).message == "playing"
     assert end_of_replay(graph, "done: 11 messages") == 0
-    graph.until(lambda: len(said) >= 10, "the last word")
-    assert said == [text(f"words {k}") for k in range(10)]
+    graph.until(lambda: len(notes) >= 10, "the last word")
+    assert notes == [text(f"words {k}") for k in range(10)]
     times = [message.clock.sec * 10**9 + message.clock.nanosec for message in clock]
     assert times == sorted(times)
     assert times[-1] <= 10**9 + 9 * STEP
@@ -219,11 +223,11 @@ def test_the_bag_s_clock_starts_with_the_first_message_that_is_due(
 
 
 def test_a_loop_goes_on_until_a_signal_ends_it(graph: Any, texts: Path) -> None:
-    said = listen_raw(graph, String, "/lab/said")
-    graph.start("replay", bag=str(texts), topics=["said"], loop=True, rate=20.0)
-    graph.until(lambda: len(said) > 50, "the fifth round")
-    first = int(said[0][14:15])
-    assert said == [text(f"words {(first + k) % 10}") for k in range(len(said))]
+    notes = listen_raw(graph, String, "/lab/note")
+    graph.start("replay", bag=str(texts), topics=["note"], loop=True, rate=20.0)
+    graph.until(lambda: len(notes) > 50, "the fifth round")
+    first = int(notes[0][14:15])
+    assert notes == [text(f"words {(first + k) % 10}") for k in range(len(notes))]
     assert not graph.call(Trigger, "replay/step", Trigger.Request()).success
     assert graph.stop("replay") == 0
     assert "stopped after" in graph.said("replay")[-1]
@@ -232,7 +236,7 @@ def test_a_loop_goes_on_until_a_signal_ends_it(graph: Any, texts: Path) -> None:
 @pytest.mark.parametrize(
     ("parameters", "complaint"),
     [
-        ({"topics": ["sang"]}, "no topic sang in it, it has /lab/said, /lab/title"),
+        ({"topics": ["odd"]}, "no topic odd in it, it has /lab/note, /lab/title"),
         ({"start_offset": 3.0}, "there is no message from 3 s to the end"),
         ({"lockstep": True}, "0 topics of abrace_interfaces/msg/Response to replay (none), expected one"),
         ({"rate": 0.0}, "parameter rate"),

@@ -6,12 +6,14 @@ message (`BagWriter`), and read back whole topics at a time as arrays (`read_top
 """
 
 from abrace_bags.definitions import MessageDefinition, message_definition
+from abrace_bags.qos import DEFAULT_QOS, offered_qos
 from abrace_bags.reader import BagContents, TopicArrays, read_facts, read_topics
 from abrace_bags.recovery import Recovered, recover
 from abrace_bags.run import read_run
-from abrace_bags.writer import BagWriter, offered_qos
+from abrace_bags.writer import BagWriter
 
 __all__ = [
+    "DEFAULT_QOS",
     "BagContents",
     "BagWriter",
     "MessageDefinition",

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from abrace_bags.files import bag_files
-from abrace_bags.losses import tallied_losses
+from abrace_bags.losses import lost_messages
 from abrace_bags.reader import read_topics
+from abrace_core.sequence import missing_numbers
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -94,7 +93,7 @@ def describe(bag: Path | str) -> BagDescription:
     contents = read_topics(bag)
     files = bag_files(bag)
     times = [messages.log_time for messages in contents.values() if messages.log_time.size]
-    lost = tallied_losses(contents.records)
+    lost = lost_messages(contents.records)
     return BagDescription(
         topics=tuple(_topic(name, contents[name], lost.get(name)) for name in sorted(contents)),
         begin=min((int(time.min()) for time in times), default=0),
@@ -113,8 +112,6 @@ def _topic(name: str, messages: TopicArrays, lost: int | None) -> TopicDescripti
     sequence = messages.fields.get("sequence")
     gaps = missing = None
     if sequence is not None and sequence.dtype.kind in "iu" and sequence.ndim == 1:
-        numbers = np.unique(sequence)
-        gaps = int((np.diff(numbers) != 1).sum())
-        missing = int(numbers[-1]) - int(numbers[0]) + 1 - numbers.size if numbers.size else 0
+        gaps, missing = missing_numbers(sequence)
     rate = (time.size - 1) / span if span else 0.0
     return TopicDescription(name, messages.type_name, time.size, rate, gaps, missing, lost)

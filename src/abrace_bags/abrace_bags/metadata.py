@@ -1,8 +1,10 @@
-"""What rosbag2 0.26 says of a bag: its metadata.yaml, the same text in each file, and QoS in its words."""
+"""The metadata.yaml of a bag as rosbag2 0.26 writes it, and the versions of what records."""
 
 from __future__ import annotations
 
+import platform
 from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import yaml
@@ -15,19 +17,7 @@ METADATA_FILE = "metadata.yaml"
 _METADATA_VERSION = 9
 _ROS_DISTRO = "jazzy"
 _LATEST = 2**63 - 1
-_FOREVER = {"sec": _LATEST // 10**9, "nsec": _LATEST % 10**9}
-DEFAULT_QOS = {
-    "history": "keep_last",
-    "depth": 10,
-    "reliability": "reliable",
-    "durability": "volatile",
-    "deadline": _FOREVER,
-    "lifespan": _FOREVER,
-    "liveliness": "automatic",
-    "liveliness_lease_duration": _FOREVER,
-    "avoid_ros_namespace_conventions": False,
-}
-"""A reliable topic of depth 10."""
+_VERSIONS_OF = ("abrace_core", "abrace_interfaces", "mcap", "numpy", "rclpy")
 
 
 @dataclass
@@ -53,32 +43,6 @@ class FileSpan:
     def count(self) -> int:
         """Messages in the file."""
         return sum(self.counts.values())
-
-
-def offered_qos(profile: Any) -> dict[str, Any]:
-    """A QoS profile as bags tell it, for `BagWriter.add_topic`.
-
-    Parameters
-    ----------
-    profile
-        An `rclpy.qos.QoSProfile`.
-    """
-    return {
-        "history": profile.history.short_key,
-        "depth": profile.depth,
-        "reliability": profile.reliability.short_key,
-        "durability": profile.durability.short_key,
-        "deadline": _duration(profile.deadline),
-        "lifespan": _duration(profile.lifespan),
-        "liveliness": profile.liveliness.short_key,
-        "liveliness_lease_duration": _duration(profile.liveliness_lease_duration),
-        "avoid_ros_namespace_conventions": profile.avoid_ros_namespace_conventions,
-    }
-
-
-def _duration(duration: Any) -> dict[str, int]:
-    seconds, nanoseconds = divmod(duration.nanoseconds, 10**9)
-    return {"sec": seconds, "nsec": nanoseconds}
 
 
 def bag_information(
@@ -142,3 +106,16 @@ def yaml_text(content: Any) -> str:
         Plain dicts, lists, numbers and texts.
     """
     return str(yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=2**16))
+
+
+def installed_versions() -> dict[str, str]:
+    """Versions of Python and of the installed packages that a bag depends on."""
+    found = {"python": platform.python_version()}
+    for package in _VERSIONS_OF:
+        for name in (package, f"ros-jazzy-{package}"):
+            try:
+                found[package] = version(name)
+                break
+            except PackageNotFoundError:
+                continue
+    return found

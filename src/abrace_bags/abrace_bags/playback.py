@@ -1,4 +1,4 @@
-"""A bag's messages played: which is next and when it is due, by the clock or answered sample by sample.
+"""A bag's messages played: which is next and when it is due, by the clock or sample by sample as each is answered.
 
 Played in lockstep, a controller sees the samples of an earlier run, and its answers are that run's again, to the last
 bit: the law of Eq. (13) has no other input.
@@ -9,36 +9,37 @@ from __future__ import annotations
 from bisect import bisect_left
 from typing import TYPE_CHECKING
 
-from abrace_bags import message_definition
+from rosbags.interfaces import QosDurability
+
+from abrace_bags.definitions import message_definition
 from abrace_bags.raw import RawBag
 from abrace_core.errors import AbraceError
 from abrace_core.wire import BraceCommands, Responses
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from rosbags.interfaces import Qos
 
     from abrace_bags.raw import RawMessage, RecordedTopic
 
 RESPONSE_TYPE = "abrace_interfaces/msg/Response"
 COMMAND_TYPE = "abrace_interfaces/msg/BraceCommand"
 COMMAND_TOPIC = "brace_command"
-OBEYED = (COMMAND_TOPIC, "ground_motion", "emergency_stop")
-"""Ends of the names of topics that move a rig, or that end its emergency stop."""
+RIG_INPUTS = (COMMAND_TOPIC, "ground_motion", "emergency_stop")
+"""Last parts of the names of topics that move a rig, or that end its emergency stop."""
+CLOCK = "/clock"
+_CLOCK_END = 2**31 * 10**9
+"""The seconds of a Clock message have 31 bits [ns]."""
 
 
 def without_commands(bag: RawBag) -> RawBag:
-    """A bag without the topics that a rig obeys, and a warning that says so: nobody moves a rig by not naming a topic.
+    """A `bag` without the inputs of a rig, with a warning: nobody moves a rig by not naming topics to replay."""
 
-    Parameters
-    ----------
-    bag
-        To be replayed.
-    """
+    def is_input(topic: RecordedTopic) -> bool:
+        return topic.type_name == COMMAND_TYPE or topic.name.rpartition("/")[2] in RIG_INPUTS
 
-    def obeyed(topic: RecordedTopic) -> bool:
-        return topic.type_name == COMMAND_TYPE or topic.name.rpartition("/")[2] in OBEYED
-
-    left_out = sorted(topic.name for topic in bag.topics.values() if obeyed(topic))
+    left_out = sorted(topic.name for topic in bag.topics.values() if is_input(topic))
     if not left_out:
         return bag
     return RawBag(
@@ -49,7 +50,7 @@ def without_commands(bag: RawBag) -> RawBag:
 
 
 def excerpt(messages: Sequence[RawMessage], start_offset: float, duration: float) -> Sequence[RawMessage]:
-    """The messages of a part of the time.
+    """The messages of a part of a bag's time.
 
     Parameters
     ----------
@@ -82,17 +83,12 @@ def _log_time(message: RawMessage) -> int:
 
 
 def check_type(topic: RecordedTopic) -> None:
-    """See to it that what is installed here under the name of a topic's type is what was recorded.
-
-    Parameters
-    ----------
-    topic
-        To be replayed.
+    """Check that the installed message type of a `topic` is the recorded one.
 
     Raises
     ------
     AbraceError
-        If the type is not installed or is another one.
+        If the type is not installed, or is not the same.
     """
     try:
         installed = message_definition(topic.type_name).type_hash
@@ -103,6 +99,20 @@ def check_type(topic: RecordedTopic) -> None:
             f"topic {topic.name}: {topic.type_name} was recorded as {topic.type_hash}, "
             f"expected the one that is installed, {installed}"
         )
+
+
+def check_clock(bag: str, topics: Mapping[str, RecordedTopic], messages: Sequence[RawMessage]) -> None:
+    """Check that the time of a `bag` can be published on /clock when these `topics` and `messages` are replayed.
+
+    Raises
+    ------
+    AbraceError
+        If /clock is one of the topics, or a Clock message can't hold the messages' times.
+    """
+    if CLOCK in topics:
+        raise AbraceError(f"parameter clock: {CLOCK} of the bag is replayed, expected one of the two")
+    if not 0 <= messages[0].log_time <= messages[-1].log_time < _CLOCK_END:
+        raise AbraceError(f"parameter clock: /clock can't have the times of {bag}, expected 1970 to 2038")
 
 
 def response_topic(topics: Mapping[str, RecordedTopic], messages: Sequence[RawMessage]) -> str:
@@ -118,8 +128,7 @@ def response_topic(topics: Mapping[str, RecordedTopic], messages: Sequence[RawMe
     Raises
     ------
     AbraceError
-        If there is not exactly one of responses, none of its messages is there, or the answers themselves are among
-        the topics.
+        If there is not exactly one topic of responses, it has no message, or the answers are to be replayed as well.
     """
     found = [name for name, topic in topics.items() if topic.type_name == RESPONSE_TYPE]
     if len(found) != 1:
@@ -127,7 +136,7 @@ def response_topic(topics: Mapping[str, RecordedTopic], messages: Sequence[RawMe
             f"parameter lockstep: {len(found)} topics of {RESPONSE_TYPE} to replay "
             f"({', '.join(sorted(found)) or 'none'}), expected one (parameter topics)"
         )
-    answers = beside(found[0], COMMAND_TOPIC)
+    answers = sibling_topic(found[0], COMMAND_TOPIC)
     if answers in topics:
         raise AbraceError(
             f"parameter lockstep: {answers} answers {found[0]} and can't be replayed as well, "
@@ -138,15 +147,25 @@ def response_topic(topics: Mapping[str, RecordedTopic], messages: Sequence[RawMe
     return found[0]
 
 
-def beside(topic: str, name: str) -> str:
-    """The topic of this `name` in the same namespace as `topic`."""
+def sibling_topic(topic: str, name: str) -> str:
+    """The topic of this `name` in the namespace of another `topic`."""
     return f"{topic.rpartition('/')[0]}/{name}"
 
 
-class BagPlayback:
-    """Plays messages one after the other, each when it is due by a clock that can be stopped, or out of its time.
+def replayed_qos(recorded: Qos, least_depth: int) -> Qos:
+    """The `recorded` QoS with a depth of at least `least_depth`, so that slow subscribers lose nothing.
 
-    The clock stands still at first.
+    A transient local topic keeps its depth: so many messages a late subscriber receives.
+    """
+    if recorded.durability is QosDurability.TRANSIENT_LOCAL:
+        return recorded._replace(depth=recorded.depth or least_depth)
+    return recorded._replace(depth=max(recorded.depth, least_depth))
+
+
+class BagPlayback:
+    """Plays messages one after the other: each when it is due by a clock, or at once while the clock is stopped.
+
+    The clock is stopped at first.
 
     Parameters
     ----------
@@ -191,7 +210,7 @@ class BagPlayback:
 
     @property
     def due(self) -> float | None:
-        """When the next message is due [s]; None: while the clock stands, and after the last."""
+        """When the next message is due [s]; None: while the clock is stopped, and after the last message."""
         if not self._running or self.ended:
             return None
         return self._clock_time + (self._messages[self._position].log_time - self._bag_time) * 1e-9 / self._rate
@@ -204,19 +223,19 @@ class BagPlayback:
         return max(self._first, min(time, self._last))
 
     def start_clock(self, now: float) -> None:
-        """Go on from where the clock stood; `now` in seconds."""
+        """Start the clock where it was stopped; `now` in seconds."""
         if not self._running:
             self._clock_time = now
             self._running = True
 
     def stop_clock(self, now: float) -> None:
-        """Stand still; `now` in seconds."""
+        """Stop the clock; `now` in seconds."""
         if self._running:
             self._bag_time = self.bag_time(now)
             self._running = False
 
-    def take(self) -> RawMessage:
-        """The next message, which is due."""
+    def next_message(self) -> RawMessage:
+        """Play the next message, which is due."""
         message = self._messages[self._position]
         self._position += 1
         self.played += 1
@@ -225,45 +244,37 @@ class BagPlayback:
             self._bag_time -= self._round
         return message
 
-    def take_early(self) -> RawMessage:
-        """The next message while the clock stands: the bag's time is its time from now on, if it is not later."""
+    def step(self) -> RawMessage:
+        """Play the next message while the clock is stopped, and set the clock to its time, but never back."""
         self._bag_time = max(self._bag_time, self._messages[self._position].log_time)
-        return self.take()
+        return self.next_message()
 
 
 class Answers:
-    """Knows whether the last sample played has been answered.
-
-    Parameters
-    ----------
-    topic
-        Of the samples.
-    """
+    """Plays a bag sample by sample, each when a command has answered the last; `topic` is that of the samples."""
 
     def __init__(self, topic: str) -> None:
         self._topic = topic
         self._responses, self._commands = Responses(), BraceCommands()
         self.missing: int | None = None
-        """Number of the sample that waits for its answer."""
+        """Number of the sample that is to be answered; None: the last one has been."""
 
-    def played(self, message: RawMessage) -> None:
-        """A message was published; if it is a sample it waits for an answer from now on.
-
-        Parameters
-        ----------
-        message
-            Any message.
+    def next_messages(self, playback: BagPlayback) -> Iterator[RawMessage]:
+        """Play all messages of a `playback` up to the next sample and the sample, which then is to be answered.
 
         Raises
         ------
         AbraceError
-            If a sample can't be read.
+            If the sample can't be read.
         """
-        if message.topic == self._topic:
-            self.missing = self._responses.unpack(message.payload)[1]
+        while self.missing is None and not playback.ended:
+            message = playback.step()
+            if message.topic == self._topic:
+                self.missing = self._responses.unpack(message.payload)[1]
+            yield message
 
-    def take(self, payload: bytes) -> bool:
-        """Whether a command, given as its `payload`, is the answer that was missing.
+    def receive(self, payload: bytes) -> bool:
+        """Whether a command, given as its `payload`, is the answer to the last sample.
 
         Raises
         ------

@@ -1,67 +1,81 @@
-"""The QoS with which a recorded topic was offered, from the words and numbers that rosbag2's versions have for it."""
+"""The QoS that publishers of a topic offer: of live ones, in a bag, and of the one that replays them.
+
+`rosbags.interfaces.Qos` holds a profile. Bags have it as YAML, in words, and in numbers up to ROS 2 Iron.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 import yaml
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_WORDS = {
-    "history": ("system_default", "keep_last", "keep_all", "unknown"),
-    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
-    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
-    "liveliness": ("system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown", "best_available"),
-}
-"""By number: up to ROS 2 Iron bags have numbers, then words."""
-DEEPEST = 2**31 - 1
-"""Messages that a publisher can keep."""
-_FOREVER = 2**63 - 1
+_LATEST = 2**63 - 1
+_FOREVER = QosTime(*divmod(_LATEST, 10**9))
+_GREATEST_DEPTH = 2**31 - 1
+
+DEFAULT_QOS = Qos(
+    history=QosHistory.KEEP_LAST,
+    depth=10,
+    reliability=QosReliability.RELIABLE,
+    durability=QosDurability.VOLATILE,
+    deadline=_FOREVER,
+    lifespan=_FOREVER,
+    liveliness=QosLiveliness.AUTOMATIC,
+    liveliness_lease_duration=_FOREVER,
+    avoid_ros_namespace_conventions=False,
+)
+"""A reliable publisher of depth 10."""
+UNKNOWN_QOS = DEFAULT_QOS._replace(depth=0)
+"""Of a topic whose QoS is not in the bag: reliable, of unknown depth."""
 
 
-@dataclass(frozen=True)
-class RecordedQos:
-    """How a topic was offered.
+def offered_qos(profile: Any) -> Qos:
+    """The QoS of a live publisher, for `BagWriter.add_topic`.
 
     Parameters
     ----------
-    reliable
-        Whether lost messages were sent again.
-    latched
-        Whether late subscribers got the last messages (transient local).
-    keep_all
-        Whether as many messages were kept as there was room for.
-    depth
-        Messages kept; 0: not known.
-    manual_liveliness
-        Whether the publisher said by itself that it was alive (manual by topic).
-    deadline, lifespan, lease
-        Between messages, of a message, and of the liveliness [ns]; 0: no end.
+    profile
+        An `rclpy.qos.QoSProfile`.
     """
+    return Qos(
+        history=QosHistory[profile.history.name],
+        depth=profile.depth,
+        reliability=QosReliability[profile.reliability.name],
+        durability=QosDurability[profile.durability.name],
+        deadline=_time(profile.deadline.nanoseconds),
+        lifespan=_time(profile.lifespan.nanoseconds),
+        liveliness=QosLiveliness[profile.liveliness.name],
+        liveliness_lease_duration=_time(profile.liveliness_lease_duration.nanoseconds),
+        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
+    )
 
-    reliable: bool = True
-    latched: bool = False
-    keep_all: bool = False
-    depth: int = 0
-    manual_liveliness: bool = False
-    deadline: int = 0
-    lifespan: int = 0
-    lease: int = 0
+
+def in_words(qos: Qos) -> dict[str, Any]:
+    """The profile `qos` in rosbag2's words, plain for YAML."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Enum):
+            return value.name.lower()
+        return value._asdict() if isinstance(value, QosTime) else value
+
+    return {name: plain(value) for name, value in qos._asdict().items()}
 
 
-def recorded_qos(text: str) -> RecordedQos:
-    """The QoS of a topic from the YAML in its bag.
+def parse_qos(text: str) -> list[Qos]:
+    """The profiles of a topic's publishers, from the `offered_qos_profiles` of a bag.
 
     Parameters
     ----------
     text
-        A list of profiles, one for each publisher, as `offered_qos_profiles` holds it; may be empty.
+        YAML, a list of profiles; may be empty. What a profile does not name is as in `DEFAULT_QOS`.
 
     Raises
     ------
@@ -72,72 +86,78 @@ def recorded_qos(text: str) -> RecordedQos:
         profiles = yaml.safe_load(text) or []
         if not isinstance(profiles, list) or not all(isinstance(profile, Mapping) for profile in profiles):
             raise AbraceError(f"QoS: {text!r}, expected a list of profiles")
-        return combined_qos([offer(profile) for profile in profiles])
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, IndexError) as error:
+        return [
+            Qos(*(_value(default, profile.get(name)) for name, default in DEFAULT_QOS._asdict().items()))
+            for profile in profiles
+        ]
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise AbraceError(f"QoS: {' '.join(str(error).split())}, expected rosbag2's names and values") from error
 
 
-def offer(profile: Mapping[str, Any]) -> RecordedQos:
-    """What one publisher offered.
+def _value(default: Any, value: Any) -> Any:
+    """What a bag has for a part of a profile, as a value of the type of its default."""
+    if value is None:
+        return default
+    if isinstance(default, Enum):
+        kind = type(default)
+        return kind(value) if isinstance(value, int) else kind.__members__.get(str(value).upper(), kind["UNKNOWN"])
+    if isinstance(default, QosTime):
+        return QosTime(int(value["sec"]), int(value["nsec"]))
+    return type(default)(value)
+
+
+def combined_qos(offers: Sequence[Qos]) -> Qos:
+    """What one publisher has to offer to serve the subscribers of several; `UNKNOWN_QOS` for none.
 
     Parameters
     ----------
-    profile
-        In rosbag2's words or numbers.
+    offers
+        Of each publisher. A time of 0, or from 2^31 - 1 s or 2^63 - 1 ns on, means no end.
 
     Raises
     ------
-    KeyError, TypeError, ValueError, IndexError
-        If they are none.
+    AbraceError
+        If a depth or a time is negative.
     """
-    return RecordedQos(
-        reliable=_word(profile, "reliability") != "best_effort",
-        latched=_word(profile, "durability") == "transient_local",
-        keep_all=_word(profile, "history") == "keep_all",
-        depth=min(_not_negative(profile.get("depth", 0)), DEEPEST),
-        manual_liveliness=_word(profile, "liveliness") == "manual_by_topic",
-        deadline=_nanoseconds(profile.get("deadline")),
-        lifespan=_nanoseconds(profile.get("lifespan")),
-        lease=_nanoseconds(profile.get("liveliness_lease_duration")),
-    )
-
-
-def combined_qos(offers: Sequence[RecordedQos]) -> RecordedQos:
-    """One offer that every subscriber to any of the `offers` can take; without any, a reliable publisher's."""
     if not offers:
-        return RecordedQos()
-    return RecordedQos(
-        reliable=any(one.reliable for one in offers),
-        latched=any(one.latched for one in offers),
-        keep_all=any(one.keep_all for one in offers),
-        depth=max(one.depth for one in offers),
-        manual_liveliness=any(one.manual_liveliness for one in offers),
-        deadline=min((one.deadline for one in offers), key=_length),
-        lifespan=max((one.lifespan for one in offers), key=_length),
-        lease=min((one.lease for one in offers), key=_length),
+        return UNKNOWN_QOS
+    times = [time for one in offers for time in (one.deadline, one.lifespan, one.liveliness_lease_duration)]
+    least = min(*(one.depth for one in offers), *(number for time in times for number in time))
+    if least < 0:
+        raise AbraceError(f"QoS: {least} is less than 0, expected rosbag2's names and values")
+    keep_all = any(one.history is QosHistory.KEEP_ALL for one in offers)
+    best_effort = all(one.reliability is QosReliability.BEST_EFFORT for one in offers)
+    transient_local = any(one.durability is QosDurability.TRANSIENT_LOCAL for one in offers)
+    manual = any(one.liveliness is QosLiveliness.MANUAL_BY_TOPIC for one in offers)
+    return Qos(
+        history=QosHistory.KEEP_ALL if keep_all else QosHistory.KEEP_LAST,
+        depth=min(max(one.depth for one in offers), _GREATEST_DEPTH),
+        reliability=QosReliability.BEST_EFFORT if best_effort else QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL if transient_local else QosDurability.VOLATILE,
+        deadline=_time(min(_nanoseconds(one.deadline) for one in offers)),
+        lifespan=_time(max(_nanoseconds(one.lifespan) for one in offers)),
+        liveliness=QosLiveliness.MANUAL_BY_TOPIC if manual else QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=_time(min(_nanoseconds(one.liveliness_lease_duration) for one in offers)),
+        avoid_ros_namespace_conventions=False,
     )
 
 
-def _word(profile: Mapping[str, Any], name: str) -> str:
-    value = profile.get(name, "unknown")
-    return _WORDS[name][_not_negative(value)] if isinstance(value, int) else str(value)
+def common_qos(offers: Sequence[Qos], depth: int) -> Qos:
+    """The QoS for a subscriber, of this `depth`, to several publishers, of which each has one of the `offers`."""
+    reliable = all(one.reliability is QosReliability.RELIABLE for one in offers)
+    transient_local = all(one.durability is QosDurability.TRANSIENT_LOCAL for one in offers)
+    return UNKNOWN_QOS._replace(
+        depth=depth,
+        reliability=QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+        durability=QosDurability.TRANSIENT_LOCAL if transient_local else QosDurability.VOLATILE,
+    )
 
 
-def _not_negative(value: Any) -> int:
-    number = int(value)
-    if number < 0:
-        raise ValueError(f"{number} is less than 0")
-    return number
+def _time(nanoseconds: int) -> QosTime:
+    return QosTime(*divmod(nanoseconds, 10**9))
 
 
-def _nanoseconds(duration: Mapping[str, int] | None) -> int:
-    """0 for what has no end, which is 0, or the latest time of 63 bits or of 32."""
-    if duration is None:
-        return 0
-    seconds, nanoseconds = _not_negative(duration["sec"]), _not_negative(duration["nsec"])
-    total = seconds * 10**9 + nanoseconds
-    return 0 if seconds >= 2**31 - 1 or total >= _FOREVER else total
-
-
-def _length(nanoseconds: int) -> int:
-    return nanoseconds or _FOREVER
+def _nanoseconds(time: QosTime) -> int:
+    """2^63 - 1 for a time without an end."""
+    total = time.sec * 10**9 + time.nsec
+    return total if 0 < total < _LATEST and time.sec < 2**31 - 1 else _LATEST

@@ -13,6 +13,7 @@ from abrace_bags.mcap.records import read_facts_record
 from abrace_bags.mcap.selection import Wanted
 from abrace_bags.ros2msg import is_same_type, parse_message_type
 from abrace_core.errors import AbraceError
+from abrace_core.sequence import missing_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -162,9 +163,9 @@ def missing_messages(topic: str, found: TopicArrays) -> str:
     sequence = found.fields.get("sequence")
     if sequence is None or sequence.dtype.kind not in "iu" or sequence.ndim > 1 or not sequence.size:
         return f"topic {topic}: how many messages are missing is not known"
-    first, last = int(sequence.min()), int(sequence.max())
-    missing = last - first + 1 - np.unique(sequence).size
-    return f"topic {topic}: {missing} of the samples {first} to {last} are missing, later ones are not known"
+    _, missing = missing_numbers(sequence)
+    span = f"{sequence.min()} to {sequence.max()}"
+    return f"topic {topic}: {missing} of the samples {span} are missing, later ones are not known"
 
 
 def _topic(found: list[tuple[Channel, Stream | None]]) -> tuple[TopicArrays, list[str]]:

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import yaml
-
 from abrace_bags.files import open_bag
-from abrace_bags.losses import tallied_losses
+from abrace_bags.losses import lost_messages
 from abrace_bags.mcap.selection import Wanted
-from abrace_bags.metadata import DEFAULT_QOS
+from abrace_bags.qos import parse_qos
 from abrace_bags.reader import missing_messages, read_topics
 from abrace_bags.ros2msg import is_same_type
 from abrace_bags.writer import WRITTEN_RECORDS, BagWriter
@@ -70,7 +68,7 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
         raise AbraceError(f"{bag}: no message in it that can be read{why}")
     facts = next((file.facts for file in files if file.facts is not None), {})
     records = {name: texts for file in files for name, texts in file.metadata.items()}
-    lost = tallied_losses(records)
+    lost = lost_messages(records)
     records = {name: texts for name, texts in records.items() if name not in WRITTEN_RECORDS}
     attachments = [attachment for file in files for attachment in file.attachments]
     counts: dict[str, int] = {}
@@ -137,10 +135,8 @@ def _usable(bag: str, file: McapFile, types: dict[str, tuple[str, str]], warning
 def _add(writer: BagWriter, channel: Channel) -> int:
     """Announce a topic as it was in the old bag."""
     try:
-        profiles = yaml.safe_load(channel.details.get("offered_qos_profiles", ""))
-    except (yaml.YAMLError, ValueError):
-        profiles = None
-    profiles = [profile for profile in profiles if isinstance(profile, dict)] if isinstance(profiles, list) else []
-    known = [{word: profile[word] for word in DEFAULT_QOS if word in profile} for profile in profiles]
+        profiles = parse_qos(channel.details.get("offered_qos_profiles", ""))
+    except AbraceError:
+        profiles = []
     type_hash = channel.details.get("topic_type_hash", "")
-    return writer.add_topic(channel.topic, channel.type_name, channel.definition, type_hash, *known)
+    return writer.add_topic(channel.topic, channel.type_name, channel.definition, type_hash, *profiles)

@@ -10,6 +10,7 @@ import numpy as np
 from abrace_bags.reader import read_selected
 from abrace_core.errors import AbraceError
 from abrace_core.run import Run
+from abrace_core.sequence import breaks
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -92,7 +93,7 @@ def _run(source: str, response: TopicArrays, facts: dict[str, str], whole: bool)
 
 
 def _check_sequence(sequence: NDArray[np.uint64]) -> None:
-    gaps = np.flatnonzero(sequence[1:] != sequence[:-1] + np.uint64(1))
+    gaps = breaks(sequence)
     if gaps.size:
         before, after = sequence[gaps[0]], sequence[gaps[0] + 1]
         raise AbraceError(f"sample {before} is followed by sample {after}, expected {before + np.uint64(1)}")

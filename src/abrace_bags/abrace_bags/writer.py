@@ -1,4 +1,4 @@
-"""Writes a bag: MCAP files and their metadata.yaml, in rosbag2's layout, message by message."""
+"""Writes a bag message by message: MCAP files and their metadata.yaml, in rosbag2's layout."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from mcap.records import Channel, Schema
 
-from abrace_bags.losses import TALLY_RECORD, Tally, is_numbered, tally_texts
+from abrace_bags.losses import COUNTS_RECORD, TopicCounts, counts_record, is_numbered, sequence_number
 from abrace_bags.mcap.file_writer import McapWriter
 from abrace_bags.mcap.open_chunk import compressor
 from abrace_bags.mcap.records import CHECKSUM_KEY, FACTS_RECORD, facts_checksum
-from abrace_bags.metadata import DEFAULT_QOS, METADATA_FILE, FileSpan, bag_information, offered_qos, yaml_text
+from abrace_bags.metadata import METADATA_FILE, FileSpan, bag_information, yaml_text
+from abrace_bags.qos import DEFAULT_QOS, in_words
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 
@@ -23,28 +24,27 @@ if TYPE_CHECKING:
     from typing import Self
 
     from mcap.records import Attachment
-
-__all__ = ["BagWriter", "offered_qos"]
+    from rosbags.interfaces import Qos
 
 ROSBAG2_RECORD = "rosbag2"
-"""Name of the metadata record that tells rosbag2 what metadata.yaml says."""
-WRITTEN_RECORDS = (FACTS_RECORD, ROSBAG2_RECORD, TALLY_RECORD)
-"""Names of the metadata records that a writer makes itself."""
+"""Name of the metadata record that holds for rosbag2 what is in metadata.yaml."""
+WRITTEN_RECORDS = (FACTS_RECORD, ROSBAG2_RECORD, COUNTS_RECORD)
+"""Names of the metadata records that every bag has."""
 
 
 class BagWriter:
     """A bag that is being written.
 
     Everything up to the last `flush` is readable after the process was killed, without `metadata.yaml`, which `close`
-    writes. Leaving a `with` block closes the bag. A message's number in the file counts those of its topic from 1, over
-    all files.
+    writes. Leaving a `with` block closes the bag. MCAP's sequence number of a message counts those of its topic from 1,
+    over all files.
 
     Parameters
     ----------
     directory
-        The bag: a directory that is not there yet.
+        The bag: a directory that does not exist yet.
     facts
-        What is to be known of the run: rig, controller, record. Written first in each file.
+        Of the run, by name: rig, controller, record. Written first in each file.
     records
         Further metadata records by name, texts by key: versions, parameters.
     attachments
@@ -59,7 +59,7 @@ class BagWriter:
     Raises
     ------
     AbraceError
-        If the compression is unknown, or the directory is there already or can't be made.
+        If the compression is unknown, or the directory exists already or can't be made.
     """
 
     def __init__(
@@ -82,9 +82,9 @@ class BagWriter:
         self._split_size = split_size
         self._split_duration = round(split_duration * 1e9)
         self._schemas: dict[tuple[str, str], Schema] = {}
-        self._channels: dict[int, Channel] = {}
+        self._channels: list[Channel] = []
         self._topics: dict[int, dict[str, Any]] = {}
-        self._tallies: dict[int, Tally] = {}
+        self._counts: dict[int, TopicCounts] = {}
         self._files: list[FileSpan] = []
         try:
             self.directory.mkdir(parents=True)
@@ -106,9 +106,7 @@ class BagWriter:
     ) -> None:
         self.close()
 
-    def add_topic(
-        self, name: str, type_name: str, definition_text: str, type_hash: str, *qos: Mapping[str, Any]
-    ) -> int:
+    def add_topic(self, name: str, type_name: str, definition_text: str, type_hash: str, *qos: Qos) -> int:
         """Announce a topic.
 
         Parameters
@@ -120,8 +118,7 @@ class BagWriter:
         definition_text, type_hash
             As `message_definition` finds them.
         qos
-            What each of its publishers offers, in rosbag2's words (`offered_qos`); what is not named is as for a
-            reliable topic of depth 10.
+            Of each of its publishers; `DEFAULT_QOS` if none is given.
 
         Returns
         -------
@@ -131,15 +128,11 @@ class BagWriter:
         Raises
         ------
         AbraceError
-            If the topic is in the bag already, or a word of `qos` is unknown.
+            If the topic is in the bag already.
         """
         if any(topic["name"] == name for topic in self._topics.values()):
             raise AbraceError(f"bag {self.directory}: topic {name} is in it already")
-        profiles = [{**DEFAULT_QOS, **profile} for profile in qos or ({},)]
-        unknown = sorted({word for profile in profiles for word in profile} - set(DEFAULT_QOS))
-        if unknown:
-            raise AbraceError(f"bag {self.directory}: topic {name}: unknown QoS {unknown[0]!r}")
-        numbered = is_numbered(definition_text)
+        profiles = [in_words(profile) for profile in qos or (DEFAULT_QOS,)]
         described = type_name, definition_text
         if described not in self._schemas:
             schema = Schema(
@@ -155,9 +148,9 @@ class BagWriter:
             schema_id=self._schemas[described].id,
             metadata={"offered_qos_profiles": yaml_text(profiles).rstrip(), "topic_type_hash": type_hash},
         )
-        self._channels[topic_id] = channel
+        self._channels.append(channel)
         self._file.add_channel(channel)
-        self._tallies[topic_id] = Tally(numbered)
+        self._counts[topic_id] = TopicCounts(is_numbered(definition_text))
         self._topics[topic_id] = {
             "name": name,
             "type": type_name,
@@ -168,7 +161,7 @@ class BagWriter:
         return topic_id
 
     def write(self, topic_id: int, payload: bytes, log_time_ns: int, publish_time_ns: int) -> None:
-        """Write a message as it came from the wire.
+        """Write a message.
 
         Parameters
         ----------
@@ -177,7 +170,7 @@ class BagWriter:
         payload
             The serialised message.
         log_time_ns, publish_time_ns
-            When it arrived and when it was published [ns].
+            When it was received and when it was published [ns].
 
         Raises
         ------
@@ -188,13 +181,15 @@ class BagWriter:
             raise AbraceError(f"bag {self.directory}: message at {log_time_ns} ns, published at {publish_time_ns} ns")
         if self._full(log_time_ns):
             self.split()
-        tally, span = self._tallies[topic_id], self._span
+        counts, span = self._counts[topic_id], self._span
         try:
-            self._file.add_message(topic_id, tally.messages + 1, payload, log_time_ns, publish_time_ns)
+            self._file.add_message(topic_id, counts.messages + 1, payload, log_time_ns, publish_time_ns)
         except OSError as error:
             self._file.abandon()
             raise self._failure(error) from error
-        tally.count(payload)
+        counts.messages += 1
+        if counts.numbered:
+            counts.add(sequence_number(payload))
         span.counts[topic_id] = span.counts.get(topic_id, 0) + 1
         if log_time_ns > span.last_time:
             span.last_time = log_time_ns
@@ -202,37 +197,37 @@ class BagWriter:
             span.first_time = log_time_ns
 
     def interrupt(self) -> None:
-        """What is left out from here to the next message of each topic is left out on purpose: no gap of `sequence`."""
-        for tally in self._tallies.values():
-            tally.last = None
+        """Count no gap of `sequence` before the next message of each topic: those before it are not to be recorded."""
+        for counts in self._counts.values():
+            counts.restart()
 
     def add_lost(self, topic_id: int, lost: int) -> None:
-        """Say how many more messages of a topic were lost.
+        """Count messages as lost.
 
         Parameters
         ----------
         topic_id
             From `add_topic`.
         lost
-            Messages that were published and did not come to `write`.
+            How many more of its messages were published and did not come to `write`.
         """
-        self._tallies[topic_id].lost += lost
+        self._counts[topic_id].lost += lost
 
-    def tallies(self) -> dict[str, Tally]:
+    def counts(self) -> dict[str, TopicCounts]:
         """Messages, gaps and losses until now, by topic."""
-        return {topic["name"]: self._tallies[number] for number, topic in self._topics.items()}
+        return {topic["name"]: self._counts[number] for number, topic in self._topics.items()}
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system: it is then readable, come what may to this process.
+        """Hand everything written so far to the operating system: it is readable even if this process is killed.
 
-        Ends the chunk; ten times a second costs nothing that can be seen.
+        Ends the chunk; ten times a second is no load.
 
         Raises
         ------
         AbraceError
             If the file can't be written: the bag is then closed as it is.
         """
-        with self._failing():
+        with self._closed_on_failure():
             self._file.flush()
 
     def split(self) -> None:
@@ -256,9 +251,9 @@ class BagWriter:
         """
         if self._file.closed:
             return
-        with self._failing():
+        with self._closed_on_failure():
             self._file.flush()
-            self._file.add_metadata(TALLY_RECORD, tally_texts(self.tallies()))
+            self._file.add_metadata(COUNTS_RECORD, counts_record(self.counts()))
         self._finish_file()
         information = bag_information(self._topics, self._files, self._facts)
         write_text(self.directory / METADATA_FILE, yaml_text({"rosbag2_bagfile_information": information}))
@@ -273,60 +268,57 @@ class BagWriter:
         """Whether nothing more can be written, after `close` or a failure."""
         return self._file.closed
 
-    @property
-    def _span(self) -> FileSpan:
-        return self._files[-1]
-
     def _full(self, time: int) -> bool:
-        """Whether a message that arrived at this time [ns] belongs into the next file."""
+        """Whether a message received at this time [ns] belongs in the next file."""
         if self._split_size and self._file.size - self._head_size >= self._split_size:
             return True
         return self._split_duration > 0 and time - self._span.first_time >= self._split_duration
 
     def _open_file(self, attachments: Sequence[Attachment] = ()) -> None:
-        """Begin the next file with what each file holds, the first one with what is attached."""
+        """Begin the next file: facts, records, types and topics, in the first one the attachments."""
         span = FileSpan(f"{self.directory.name}_{len(self._files)}.mcap", counts=dict.fromkeys(self._topics, 0))
-        # without its head a file is none that readers know: it gets its name when it has one
-        beside = self.directory / f"{span.name}.part"
+        # readers can't open a file without these: it gets its name when they are in it
+        part = self.directory / f"{span.name}.part"
         try:
-            self._file = McapWriter(beside, *self._compressor)
+            self._file = McapWriter(part, *self._compressor)
         except OSError as error:
             raise self._failure(error) from error
+        self._span = span
         self._files.append(span)
         try:
-            with self._failing():
+            with self._closed_on_failure():
                 self._file.add_metadata(FACTS_RECORD, {**self._facts, CHECKSUM_KEY: facts_checksum(self._facts)})
                 for name, texts in self._records.items():
                     self._file.add_metadata(name, texts)
                 self._write_information()
                 for schema in self._schemas.values():
                     self._file.add_schema(schema)
-                for channel in self._channels.values():
+                for channel in self._channels:
                     self._file.add_channel(channel)
                 for attachment in attachments:
                     self._file.add_attachment(attachment)
                 self._file.flush()
-                beside.rename(self.file)
+                part.rename(self.file)
         except AbraceError:
             with contextlib.suppress(OSError):
-                beside.unlink()
+                part.unlink()
             raise
         self._head_size = self._file.size
 
     def _finish_file(self) -> None:
-        with self._failing():
+        with self._closed_on_failure():
             self._file.flush()
             self._write_information()
             self._file.finish(self._span)
 
     def _write_information(self) -> None:
-        """What metadata.yaml would say of this file alone, in the file itself: rosbag2 reads a single file by it."""
+        """Write into the file the metadata.yaml of this file alone: rosbag2 reads a single file by it."""
         information = bag_information(self._topics, [self._span], self._facts)
         self._file.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": yaml_text(information).rstrip()})
 
     @contextlib.contextmanager
-    def _failing(self) -> Iterator[None]:
-        """What goes wrong with the file closes it as it is."""
+    def _closed_on_failure(self) -> Iterator[None]:
+        """Close the file as it is when it can't be written."""
         try:
             yield
         except OSError as error:

@@ -15,6 +15,7 @@ from scipy import fft, signal
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
+from abrace_core.sequence import breaks
 from abrace_sysid.spectra.fourier import held_input, transform
 from abrace_sysid.spectra.welch import coherence_of
 
@@ -145,8 +146,7 @@ def longest_piece(run: Run, least_seconds: float = LEAST_SECONDS) -> tuple[Run, 
     AbraceError
         If it is shorter.
     """
-    step = np.diff(run.sequence.astype(np.int64))
-    gaps = np.flatnonzero(step != 1)
+    gaps = breaks(run.sequence)
     edges = np.concatenate([[0], gaps + 1, [len(run.sequence)]])
     longest = int(np.argmax(np.diff(edges)))
     first, last = int(edges[longest]), int(edges[longest + 1])
@@ -155,7 +155,7 @@ def longest_piece(run: Run, least_seconds: float = LEAST_SECONDS) -> tuple[Run, 
         if seconds < least_seconds:
             raise AbraceError(f"{run.source}: {seconds:g} s, {expected}")
         return run, ()
-    after, missing = run.sequence[gaps[0]], int(step[gaps[0]]) - 1
+    after, missing = run.sequence[gaps[0]], int(run.sequence[gaps[0] + 1]) - int(run.sequence[gaps[0]]) - 1
     found = f"a gap after sample {after}" if missing > 0 else f"sample numbers that do not rise after {after}"
     if missing > 0:
         found += f" ({missing} samples, {missing * run.sample_period:g} s)"

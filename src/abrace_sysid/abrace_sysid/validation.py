@@ -19,6 +19,7 @@ from scipy import fft
 from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.response import PeakRms, peak_rms_of
+from abrace_core.sequence import breaks
 from abrace_core.simulation import discretize, simulate, simulate_closed_loop
 from abrace_sysid.models.realization import HOLDS
 
@@ -142,7 +143,7 @@ def compare(
     missing = [name for name in wanted if name not in model.inputs] + [n for n in run.names if n not in model.outputs]
     if missing:
         raise AbraceError(f"{run.source}: the model has no signal {', '.join(missing)}, expected a model of this rig")
-    if len(run.outputs) < 2 or np.any(np.diff(run.sequence.astype(np.int64)) != 1):
+    if len(run.outputs) < 2 or breaks(run.sequence).size:
         raise AbraceError(f"{run.source}: expected two or more consecutive samples without a gap")
     if len(capacity) != run.groups:
         raise AbraceError(f"{run.source}: {len(capacity)} capacities, expected one for each of {run.groups} commands")

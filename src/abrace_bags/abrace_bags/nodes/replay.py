@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 import time
 
 from builtin_interfaces.msg import Time
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
 
+from abrace_bags.nodes.endpoint import message_class, qos_profile
 from abrace_bags.playback import (
+    CLOCK,
     COMMAND_TOPIC,
     RESPONSE_TYPE,
     Answers,
     BagPlayback,
-    beside,
+    check_clock,
     check_type,
     excerpt,
+    replayed_qos,
     response_topic,
+    sibling_topic,
     without_commands,
 )
-from abrace_bags.qos import RecordedQos
 from abrace_bags.raw import RawMessage, RecordedTopic, read_raw
 from abrace_core.errors import AbraceError
 from abrace_core.node import KEPT_STREAM_QOS, LOOK_PERIOD, AbraceNode, Parameter, RCLError, rcl_message, run
@@ -48,18 +48,15 @@ PARAMETERS = [
 ]
 
 SHOW_PERIOD = 0.1
-"""Seconds between two looks at the progress."""
+"""Seconds between two updates of the progress line."""
 BATCH = 50
-"""Messages published in a row of those that are due; services are heard after them."""
-CLOCK = "/clock"
-CLOCK_END = 2**31 * 10**9
-"""Its seconds have 31 bits [ns]."""
+"""Messages published in a row of those that are due; services are answered after them."""
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
-"""Name of a node of which no more than a topic has been discovered."""
+"""Name of a node that has not been discovered yet, in contrast to its publisher or subscription."""
 
 
 class Replay(AbraceNode):
-    """Publishes raw messages when they are due, or when the one before has been answered."""
+    """Publishes raw messages when they are due, or in lockstep when the last sample has been answered."""
 
     def __init__(self) -> None:
         super().__init__("replay", PARAMETERS)
@@ -72,10 +69,8 @@ class Replay(AbraceNode):
             raise AbraceError("; ".join([f"bag {given.bag}: {error}", *bag.warnings])) from error
         self.playback = BagPlayback(messages, given.rate, given.loop)
         answered = response_topic(bag.topics, messages) if given.lockstep else ""
-        if given.clock and CLOCK in bag.topics:
-            raise AbraceError(f"parameter clock: {CLOCK} of the bag is replayed, expected one of the two")
-        if given.clock and not 0 <= messages[0].log_time <= messages[-1].log_time < CLOCK_END:
-            raise AbraceError(f"parameter clock: /clock can't have the times of {given.bag}, expected 1970 to 2038")
+        if given.clock:
+            check_clock(given.bag, bag.topics, messages)
         self.outputs = {name: self.output(topic) for name, topic in bag.topics.items()}
         for warning in bag.warnings:
             self.get_logger().warning(warning)
@@ -84,7 +79,7 @@ class Replay(AbraceNode):
         if given.lockstep:
             self.answers = Answers(answered)
             self.samples = self.outputs[answered]
-            topic = beside(self.samples.topic_name, COMMAND_TOPIC)
+            topic = sibling_topic(self.samples.topic_name, COMMAND_TOPIC)
             self.commands = self.subscribe_to(BraceCommand, topic, self.on_command, KEPT_STREAM_QOS, raw=True)
         self.create_service(SetBool, "~/pause", self.on_pause)
         self.create_service(Trigger, "~/step", self.on_step)
@@ -96,24 +91,27 @@ class Replay(AbraceNode):
         self.progress = Step(f"replay {given.bag}", sys.stderr, time.monotonic)
         self.paused = given.start_paused
         self.began: float | None = None
-        self.go_on()
+        self.pause_or_play()
 
     def output(self, topic: RecordedTopic) -> Publisher:
-        """The publisher of a topic, with the QoS that was offered."""
+        """The publisher of a topic, with the recorded QoS."""
+        check_type(topic)
+        message_type = message_class(topic.name, topic.type_name)
+        qos = replayed_qos(topic.qos, KEPT_STREAM_QOS.depth)
         try:
-            return self.publish_on(message_class(topic), topic.name, qos(topic.qos))
+            return self.publish_on(message_type, topic.name, qos_profile(qos))
         except (RCLError, NameValidationException) as error:
             raise AbraceError(f"bag {self.parameters.bag}: topic {topic.name}: {rcl_message(error)}") from error
 
-    def go_on(self) -> None:
-        """Play from where it stands; while paused, stand."""
+    def pause_or_play(self) -> None:
+        """Stop the clock if paused, else play on."""
         now = time.monotonic()
         if self.paused:
             self.playback.stop_clock(now)
         self.due = None if self.paused else now
 
     def tick(self) -> None:
-        """Messages are due; in lockstep: the first is, or an answer is overdue."""
+        """Play messages that are due; in lockstep the first sample, or end if an answer is overdue."""
         if self.answers is None:
             self.play_due()
         elif self.answers.missing is not None:
@@ -126,18 +124,18 @@ class Replay(AbraceNode):
         elif self.began is None and not self.matched():
             self.due = time.monotonic() + LOOK_PERIOD
         else:
-            self.look_for_a_rig()
+            self.check_for_rig()
             if self.exit_code is None:
                 self.play_sample()
 
     def matched(self) -> bool:
-        """Whether a node that publishes commands takes the samples; others may take them, too."""
-        takers = self.get_subscriptions_info_by_topic(self.samples.topic_name)
+        """Whether one node subscribes to the samples and publishes commands; others may subscribe, too."""
+        subscribers = self.get_subscriptions_info_by_topic(self.samples.topic_name)
         commanders = self.get_publishers_info_by_topic(self.commands.topic_name)
-        return not node_names(takers).isdisjoint(node_names(commanders))
+        return not node_names(subscribers).isdisjoint(node_names(commanders))
 
-    def look_for_a_rig(self) -> None:
-        """End beside a rig that publishes samples where ours go: who answers would mix them up, and move the rig."""
+    def check_for_rig(self) -> None:
+        """End if a rig publishes on a topic of samples that is replayed: answers to these would move the rig."""
         for output in self.responses:
             if self.exit_code is None and self.count_publishers(output.topic_name) > 1:
                 others = node_names(self.get_publishers_info_by_topic(output.topic_name))
@@ -150,25 +148,23 @@ class Replay(AbraceNode):
                 )
 
     def play_due(self) -> None:
-        """Publish what is due by the clock, which starts here: what a late tick missed would come as a burst."""
+        """Publish what is due by the clock. It starts here: started earlier, a late first tick would be a burst."""
         now = time.monotonic()
         self.began = self.began or now
         self.playback.start_clock(now)
         for _ in range(BATCH):
             if self.playback.due is None or self.playback.due > time.monotonic():
                 break
-            self.publish(self.playback.take())
+            self.publish(self.playback.next_message())
         self.due = self.playback.due
         self.end_at_the_last()
 
     def play_sample(self) -> None:
-        """Publish everything up to and with the next sample, which is then waited for."""
+        """Publish all messages up to the next sample and the sample, and wait for the answer to it."""
         assert self.answers is not None
         self.began = self.began or time.monotonic()
         try:
-            while self.answers.missing is None and not self.playback.ended:
-                message = self.playback.take_early()
-                self.answers.played(message)
+            for message in self.answers.next_messages(self.playback):
                 self.publish(message)
         except AbraceError as error:
             self.finish(1, f"bag {self.parameters.bag}: {error}")
@@ -178,7 +174,7 @@ class Replay(AbraceNode):
             self.end_at_the_last()
 
     def publish(self, message: RawMessage) -> None:
-        """Publish a message as it was recorded; one that the middleware does not take is the end."""
+        """Publish a message as it was recorded; end if the middleware refuses it."""
         if self.exit_code is not None:
             return
         try:
@@ -191,7 +187,7 @@ class Replay(AbraceNode):
         """A command answers a sample."""
         assert self.answers is not None
         try:
-            answered = self.answers.take(payload)
+            answered = self.answers.receive(payload)
         except AbraceError as error:
             self.finish(1, f"{self.commands.topic_name}: {error}")
             return
@@ -214,7 +210,7 @@ class Replay(AbraceNode):
         waiting = self.answers is not None and self.answers.missing is not None
         self.paused = request.data
         if not waiting:
-            self.go_on()
+            self.pause_or_play()
         response.success = True
         response.message = "paused" if self.paused else "playing"
         return response
@@ -229,7 +225,7 @@ class Replay(AbraceNode):
         elif self.answers is not None and self.answers.missing is not None:
             refusal = f"sample {self.answers.missing} has not been answered"
         elif self.answers is not None and not self.matched():
-            refusal = f"no node takes {self.samples.topic_name} and publishes {self.commands.topic_name} yet"
+            refusal = f"no node subscribes to {self.samples.topic_name} and publishes {self.commands.topic_name} yet"
         response.success = not refusal
         response.message = refusal
         if refusal:
@@ -238,7 +234,7 @@ class Replay(AbraceNode):
             self.play_sample()
         else:
             self.began = self.began or time.monotonic()
-            self.publish(self.playback.take_early())
+            self.publish(self.playback.step())
             self.end_at_the_last()
         response.message = f"{self.playback.played} messages played"
         return response
@@ -249,8 +245,8 @@ class Replay(AbraceNode):
         self.clock_output.publish(ClockMessage(clock=Time(sec=seconds, nanosec=nanoseconds)))
 
     def show(self) -> None:
-        """Show how far it is, and see to it that no rig is near."""
-        self.look_for_a_rig()
+        """Show the progress, and check that no rig publishes on the same topics."""
+        self.check_for_rig()
         self.progress.update(self.playback.fraction, f"{self.playback.played} messages")
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
@@ -259,42 +255,17 @@ class Replay(AbraceNode):
         return None, message, {"played": self.playback.played, "fraction": round(self.playback.fraction, 4)}
 
     def closing(self) -> None:
-        """Say how it ended."""
+        """Show how it ended."""
         self.progress.close("done in" if self.exit_code == 0 else "failed after" if self.exit_code else "stopped after")
 
 
-def message_class(topic: RecordedTopic) -> type:
-    """The installed type of a recorded topic, if it is the same one."""
-    check_type(topic)
-    package, _, name = topic.type_name.split("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError) as error:
-        raise AbraceError(f"topic {topic.name}: {topic.type_name} is not installed for Python ({error})") from error
-
-
 def node_names(endpoints: list[TopicEndpointInfo]) -> set[str]:
-    """Full names of the nodes that are known by theirs."""
+    """Full names of the endpoints' nodes, without those that are not discovered yet."""
     return {
         f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
         for endpoint in endpoints
         if endpoint.node_name != UNKNOWN
     }
-
-
-def qos(recorded: RecordedQos) -> QoSProfile:
-    """The profile that offers what was offered; not latched, more is kept for readers that are late."""
-    kept = KEPT_STREAM_QOS.depth
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_ALL if recorded.keep_all else HistoryPolicy.KEEP_LAST,
-        depth=recorded.depth or kept if recorded.latched else max(recorded.depth, kept),
-        reliability=ReliabilityPolicy.RELIABLE if recorded.reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if recorded.latched else DurabilityPolicy.VOLATILE,
-        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC if recorded.manual_liveliness else LivelinessPolicy.AUTOMATIC,
-        deadline=Duration(nanoseconds=recorded.deadline),
-        lifespan=Duration(nanoseconds=recorded.lifespan),
-        liveliness_lease_duration=Duration(nanoseconds=recorded.lease),
-    )
 
 
 def main() -> int:

@@ -138,7 +138,7 @@ class BraceCommander(AbraceLifecycleNode):
             return None, "not configured", {}
         values: dict[str, object] = {
             "sequence": self.watch.sequence,
-            "lost": self.watch.lost,
+            "lost": self.watch.missing,
             "saturations": self.guard.saturations,
             "rate_limits": self.guard.rate_limits,
             **self.latency.report(),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from abrace_core.sequence import SequenceCounter
+
 LONGEST_GAP = 5
 """Lost samples in a row that a node may bridge if it is not told otherwise; more are a fault."""
 
 
-class SampleWatch:
+class SampleWatch(SequenceCounter):
     """Looks at each sample's number and stamp.
 
     Parameters
@@ -18,13 +20,10 @@ class SampleWatch:
     """
 
     def __init__(self, sample_period: float, longest_gap: int = LONGEST_GAP) -> None:
+        super().__init__()
         self._longest_gap = longest_gap
         self._period = sample_period * 1e9
-        self.sequence = -1
-        """Number of the last sample; -1: none yet."""
         self._stamp = 0
-        self.lost = 0
-        """Samples lost so far."""
         self.problem: str | None = None
         """Why the last sample may not be answered as usual; None: all is well."""
 
@@ -43,17 +42,14 @@ class SampleWatch:
         int
             Samples lost just before it; -1 if the rig has started anew (so for the first sample that is seen).
         """
-        last, self.sequence = self.sequence, sequence
+        lost = self.add(sequence)
         elapsed, self._stamp = stamp - self._stamp, stamp
-        if last < 0 or sequence <= last:
+        if lost < 0:
             self.problem = None
             return -1
-        steps = sequence - last
-        self.lost += steps - 1
-        if steps - 1 > self._longest_gap:
-            self.problem = (
-                f"{steps - 1} samples lost before sample {sequence}, at most {self._longest_gap} can be bridged"
-            )
+        steps = lost + 1
+        if lost > self._longest_gap:
+            self.problem = f"{lost} samples lost before sample {sequence}, at most {self._longest_gap} can be bridged"
         elif abs(elapsed - steps * self._period) > 0.5 * self._period:
             self.problem = (
                 f"sample {sequence} comes {elapsed / steps * 1e-6:g} ms after the one before, "
@@ -61,4 +57,4 @@ class SampleWatch:
             )
         else:
             self.problem = None
-        return steps - 1
+        return lost

@@ -230,7 +230,7 @@ class GroundMotion(AbraceLifecycleNode):
         playback = self.playback
         if self.stopped:
             return "emergency stop", "", {}
-        values: dict[str, object] = {"lost": self.watch.lost} if self.active else {}
+        values: dict[str, object] = {"lost": self.watch.missing} if self.active else {}
         if playback is None or playback.done:
             return None, "ready" if self.active else "not active", values
         values |= {"elapsed": playback.elapsed, "duration": playback.duration}
