@@ -85,13 +85,13 @@ def test_fingerprints_tell_messages_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", range(8))
-def test_damaged_opening_mark_costs_nothing(tmp_path: Path, place: int) -> None:
+def test_damaged_magic_costs_nothing(tmp_path: Path, place: int) -> None:
     path = write_bag(tmp_path / "bag", 20)
     flip(path, place, place)
     contents = read_topics(path)
     assert contents["/response"].fields["sequence"].tolist() == list(range(20))
     assert contents.facts == FACTS
-    assert contents.warnings == (f"{path}: its opening mark is damaged",)
+    assert contents.warnings == (f"{path}: the magic at its beginning is damaged",)
     flip(path, (place + 1) % 8, 0)
     with pytest.raises(AbraceError, match="not an MCAP file"):
         read_topics(path)

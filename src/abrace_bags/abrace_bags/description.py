@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_bags.files import bag_files
 from abrace_bags.losses import tallied_losses
-from abrace_bags.reader import read_topics
+from abrace_bags.reader import bag_files, read_topics
 
 if TYPE_CHECKING:
     from pathlib import Path

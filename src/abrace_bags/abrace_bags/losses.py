@@ -7,7 +7,7 @@ import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from abrace_bags.ros2msg import MessageField, parse_fields
+from abrace_bags.definitions import MessageField, parse_fields
 from abrace_core import wire
 from abrace_core.errors import AbraceError
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from mcap.records import Channel, Schema
 
 from abrace_bags.losses import TALLY_RECORD, Tally, is_numbered, tally_texts
+from abrace_bags.mcap.chunk_writer import compressor
 from abrace_bags.mcap.file_writer import McapWriter
-from abrace_bags.mcap.open_chunk import compressor
 from abrace_bags.mcap.records import CHECKSUM_KEY, FACTS_RECORD, facts_checksum
 from abrace_bags.metadata import DEFAULT_QOS, METADATA_FILE, FileSpan, bag_information, offered_qos, yaml_text
 from abrace_core.errors import AbraceError
