@@ -206,9 +206,9 @@ def _joined(count: int, groups: list[tuple[NDArray[np.int64], NDArray[Any]]]) ->
 def _paths(message_type: MessageType, type_name: str, prefix: str = "") -> list[str]:
     """Names of the values of a message type."""
     paths = []
-    for one in message_type.fields[type_name]:
-        nested = one.type_name in message_type.fields
-        paths += _paths(message_type, one.type_name, f"{prefix}{one.name}.") if nested else [prefix + one.name]
+    for member in message_type.fields[type_name]:
+        nested = member.type_name in message_type.fields
+        paths += _paths(message_type, member.type_name, f"{prefix}{member.name}.") if nested else [prefix + member.name]
     return paths
 
 
@@ -236,19 +236,19 @@ class _Walk:
         fields = self._type.fields[type_name]
         if not fields:  # ROS gives an empty message one unused byte
             self._advance(1)
-        for one in fields:
-            count = self._length() if one.count == 0 else one.count
-            if one.type_name in NUMBERS:
-                columns[one.name] = self._numbers(one.type_name, count)
-            elif one.type_name == "string":
-                columns[one.name] = self._string() if count is None else [self._string() for _ in range(count)]
+        for member in fields:
+            count = self._length() if member.count == 0 else member.count
+            if member.type_name in NUMBERS:
+                columns[member.name] = self._numbers(member.type_name, count)
+            elif member.type_name == "string":
+                columns[member.name] = self._string() if count is None else [self._string() for _ in range(count)]
             elif count is None:
-                nested = self._message(one.type_name)
-                columns.update({f"{one.name}.{path}": column for path, column in nested.items()})
+                nested = self._message(member.type_name)
+                columns.update({f"{member.name}.{path}": column for path, column in nested.items()})
             else:
-                elements = [self._message(one.type_name) for _ in range(count)]
-                for path in _paths(self._type, one.type_name):
-                    columns[f"{one.name}.{path}"] = [element[path] for element in elements]
+                elements = [self._message(member.type_name) for _ in range(count)]
+                for path in _paths(self._type, member.type_name):
+                    columns[f"{member.name}.{path}"] = [element[path] for element in elements]
         return columns
 
     def _numbers(self, type_name: str, count: int | None) -> _Leaf:

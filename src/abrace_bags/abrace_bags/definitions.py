@@ -213,7 +213,9 @@ def parse_message_type(type_name: str, text: str) -> MessageType:
         parsed = parse_fields(texts[name])
         referred = referred_types(name, parsed)
         full_names = iter(referred)
-        fields[name] = tuple(one if is_plain(one) else replace(one, type_name=next(full_names)) for one in parsed)
+        fields[name] = tuple(
+            field if is_plain(field) else replace(field, type_name=next(full_names)) for field in parsed
+        )
         for other in referred:
             resolve(other, (*above, name))
 
@@ -232,10 +234,10 @@ def is_same_type(one: tuple[str, str], other: tuple[str, str]) -> bool:
 def referred_types(name: str, fields: Sequence[MessageField]) -> list[str]:
     """Message types that these fields of type `name` (`package/Type`) use, as `package/Type`, in order."""
     types = []
-    for one in fields:
-        if is_plain(one):
+    for field in fields:
+        if is_plain(field):
             continue
-        other = one.type_name.replace("/msg/", "/")
+        other = field.type_name.replace("/msg/", "/")
         if other == "Header":
             other = "std_msgs/Header"
         types.append(other if "/" in other else f"{name.partition('/')[0]}/{other}")

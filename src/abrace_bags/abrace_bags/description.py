@@ -33,7 +33,7 @@ class TopicDescription:
     missing
         Numbers skipped in all; None for messages without a `sequence`.
     lost
-        Messages that the logger lost, as the bag says; None where it doesn't.
+        Messages that the logger counted as lost; None where the bag has no such count.
     """
 
     name: str
@@ -60,7 +60,7 @@ class BagDescription:
     files
         How many those are.
     facts
-        What it says of its run.
+        Of its run: rig, controller, record.
     attachments
         Bytes of the files that are in it, by name.
     warnings

@@ -56,9 +56,9 @@ class BagContents(dict[str, TopicArrays]):
     topics
         What was read.
     facts
-        What the bag says of its run; empty where it says nothing.
+        The run's facts (rig, controller, record); empty where the bag has none.
     warnings
-        What is missing or can't be trusted, one sentence each; empty where all is well.
+        What is missing or can't be trusted, one sentence each; empty for a whole bag.
     records
         Its metadata records: texts by key, by the record's name.
     attachments
@@ -83,7 +83,7 @@ class BagContents(dict[str, TopicArrays]):
 def read_topics(
     bag: Path | str, topics: Collection[str] | None = None, begin: int | None = None, end: int | None = None
 ) -> BagContents:
-    """Read topics of a bag; where it has an index, only the chunks in which there is something of what is asked for.
+    """Read topics of a bag; of files with a summary section, only the chunks that may hold some of what is asked for.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def read_selected(
 
 
 def read_facts(bag: Path | str) -> dict[str, str]:
-    """What a bag says of its run: rig, controller, record, versions. Empty where it says nothing.
+    """The facts of the run in a `bag`: rig, controller, record, versions. Empty where it has none.
 
     Raises
     ------
@@ -265,7 +265,7 @@ def bag_files(bag: Path | str) -> list[Path]:
 
 
 def missing_files(bag: Path | str) -> list[str]:
-    """Files that the metadata.yaml of a `bag` names and that are not there, one sentence each."""
+    """Files that the metadata.yaml of a `bag` lists and that do not exist, one sentence each."""
     bag = Path(bag)
     path = bag / "metadata.yaml"
     if not path.is_file():
@@ -283,7 +283,7 @@ def in_brackets(warnings: Sequence[str]) -> str:
 
 
 def missing_messages(topic: str, messages: TopicArrays) -> str:
-    """What the `sequence` of the `messages` of a `topic` tells of missing ones, where the bag's own count is lost."""
+    """How many messages of a `topic` are missing by the `sequence` of those read, where the bag's own count is lost."""
     sequence = messages.fields.get("sequence")
     if sequence is None or sequence.dtype.kind not in "iu" or sequence.ndim > 1 or not sequence.size:
         return f"topic {topic}: how many messages are missing is not known"

@@ -45,14 +45,14 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
     """Write a whole bag of everything that can be read of another.
 
     Messages, their times, types and QoS, the run's facts, the other metadata and the attachments are kept as they are;
-    messages stand in the order of their log times, file after file.
+    messages are written in the order of their log times, file after file.
 
     Parameters
     ----------
     bag
         A bag directory or a single MCAP file, cut off or damaged or not.
     output
-        The bag to write: a directory that is not there yet.
+        The bag to write: a directory that must not exist.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""One chunk of an MCAP file: found in a damaged file, unpacked, checked, and the messages in it that are asked for."""
+"""A chunk of an MCAP file: found in a damaged file, unpacked, checked, and the messages to keep taken out of it."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ class Stream:
     def append(
         self, records: bytes, offsets: NDArray[np.int64], sizes: NDArray[np.int64], file_numbers: NDArray[np.int64]
     ) -> None:
-        """Add message records: those at `offsets` in the `records` of a chunk, `sizes` and `file_numbers` one each."""
+        """Add messages: those of `sizes` bytes at `offsets` in the `records` of a chunk, with their `file_numbers`."""
         self.file_numbers.append(file_numbers)
         numbers = np.arange(self.count, self.count + offsets.size)
         self.count += offsets.size
@@ -222,7 +222,7 @@ class Stream:
 
 
 def _one_field(size: int, form: str, offset: int) -> np.dtype[np.void]:
-    """Records of messages of this `size`, of which one field is read."""
+    """Type of a message record with a payload of `size` bytes, of which one field is read."""
     itemsize = MESSAGE_HEAD_SIZE + size
     return np.dtype({"names": ["field"], "formats": [form], "offsets": [offset], "itemsize": itemsize})
 
@@ -273,9 +273,8 @@ class Selection:
         opcodes = np.frombuffer(records, np.uint8)[offsets]
         is_message = opcodes == Opcode.MESSAGE
         if not is_message.all():
-            for one in np.flatnonzero((opcodes == Opcode.SCHEMA) | (opcodes == Opcode.CHANNEL)):
-                body = records[offsets[one] + RECORD_HEAD.size : offsets[one] + sizes[one]]
-                self.table.add(int(opcodes[one]), body)
+            for k in np.flatnonzero((opcodes == Opcode.SCHEMA) | (opcodes == Opcode.CHANNEL)):
+                self.table.add(int(opcodes[k]), records[offsets[k] + RECORD_HEAD.size : offsets[k] + sizes[k]])
             offsets, sizes = offsets[is_message], sizes[is_message]
             if not offsets.size:
                 return 0

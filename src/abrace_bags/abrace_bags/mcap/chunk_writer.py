@@ -1,4 +1,4 @@
-"""The chunk of an MCAP file that is being filled: then packed, with its checksum and its message indexes."""
+"""The chunk of an MCAP file that is being filled; when it is full, its record and its message indexes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from abrace_core.errors import AbraceError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mcap.records import Channel, Schema
+    from mcap.records import McapRecord
 
 CHUNK_SIZE = 64 * 1024
 """Bytes of messages in a chunk, before compression."""
@@ -72,7 +72,7 @@ class ChunkWriter:
         """Whether it holds more than schemas and channels."""
         return bool(self._index)
 
-    def describe(self, record: Schema | Channel) -> None:
+    def describe(self, record: McapRecord) -> None:
         """Add the `record` of a schema or a channel, before the messages that refer to it."""
         part = record_bytes(record)
         self._parts.append(part)

@@ -1,8 +1,8 @@
 """One MCAP file to the messages of each channel, chunk by chunk, with every checksum checked.
 
-What is whole is kept; what is damaged is left out, with a warning. After damage, reading goes on at the next chunk: its
-offset is in the summary section, and where there is none, because the file was cut off, the chunk is looked for. Where
-topics or a range of time are asked for, only the chunks are read whose index says that they hold some of it.
+What is whole is kept; what is damaged is left out, with a warning. After damage, reading goes on at the next chunk, by
+the summary section; in a file that was cut off, which has no summary section, the next chunk is searched for. For some
+topics or a range of time, only the chunks are read that hold some of them according to their chunk index.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ class McapWriter:
     Parameters
     ----------
     path
-        The file, which is not there yet.
+        The file, which must not exist.
     compression, compress
         From `compressor`.
 
@@ -78,24 +78,12 @@ class McapWriter:
         return self._file.closed
 
     def add_schema(self, schema: Schema) -> None:
-        """Add a message type, before its topics.
-
-        Parameters
-        ----------
-        schema
-            The type.
-        """
+        """Add a `schema`, the description of a message type, before its channels."""
         self._schemas.append(schema)
         self._chunk.describe(schema)
 
     def add_channel(self, channel: Channel) -> None:
-        """Add a topic, before its messages.
-
-        Parameters
-        ----------
-        channel
-            The topic.
-        """
+        """Add a `channel`, the description of a topic, before its messages."""
         self._channels.append(channel)
         self._chunk.describe(channel)
 
@@ -106,27 +94,13 @@ class McapWriter:
             self._end_chunk()
 
     def add_metadata(self, name: str, texts: Mapping[str, str]) -> None:
-        """Add texts by key.
-
-        Parameters
-        ----------
-        name
-            Of the record.
-        texts
-            What it says.
-        """
+        """Add a metadata record of this `name` with `texts` by key."""
         offset = self.size
         self._append_record(Metadata(name=name, metadata=dict(texts)))
         self._metadata.append(MetadataIndex(offset=offset, length=self.size - offset, name=name))
 
     def add_attachment(self, attachment: Attachment) -> None:
-        """Add a file's content.
-
-        Parameters
-        ----------
-        attachment
-            The file.
-        """
+        """Add an `attachment`: a file's name and content."""
         offset = self.size
         self._append_record(attachment)
         index = AttachmentIndex(
@@ -146,13 +120,7 @@ class McapWriter:
         self._file.flush()
 
     def finish(self, span: FileSpan) -> None:
-        """Write the summary section and close the file.
-
-        Parameters
-        ----------
-        span
-            What the file holds.
-        """
+        """Write the summary section and close the file; `span` is what the file holds."""
         self._end_chunk()
         self._append_record(DataEnd(self._checksum))
         start = self.size

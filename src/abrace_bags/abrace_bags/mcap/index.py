@@ -1,4 +1,4 @@
-"""The summary section at the end of an MCAP file: its channels, where its chunks are, how many messages it has."""
+"""The summary section at the end of an MCAP file: channels, message counts, and where the chunks to read are."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class RecordedChannel:
     message_encoding
         How its messages are serialised: `cdr` in bags of ROS 2.
     metadata
-        What rosbag2 says of it: `offered_qos_profiles`, `topic_type_hash`.
+        From rosbag2: `offered_qos_profiles` and `topic_type_hash`.
     type_name, schema_encoding, definition
         Of its message type; empty where the schema is unknown.
     """
