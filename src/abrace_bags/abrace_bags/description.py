@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from abrace_bags.losses import tallied_losses
-from abrace_bags.reader import bag_files, read_topics
+from abrace_bags.reader import bag_files, read_topics, sequence_gaps
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,9 +27,9 @@ class TopicDescription:
     rate
         Messages a second between the first and the last; 0 where there are fewer than two.
     gaps
-        Places where `sequence` skips numbers; None for messages without one.
+        How often `sequence` skips numbers; None for messages without one.
     missing
-        Numbers skipped in all; None for messages without a `sequence`.
+        Numbers that it skips in all; None for messages without a `sequence`.
     lost
         Messages that the logger counted as lost; None where the bag has no such count.
     """
@@ -109,11 +107,13 @@ def describe(bag: Path | str) -> BagDescription:
 def _topic(name: str, messages: TopicArrays, lost: int | None) -> TopicDescription:
     time = messages.log_time
     span = 1e-9 * int(time.max() - time.min()) if time.size > 1 else 0.0
-    sequence = messages.fields.get("sequence")
-    gaps = missing = None
-    if sequence is not None and sequence.dtype.kind in "iu" and sequence.ndim == 1:
-        numbers = np.unique(sequence)
-        gaps = int((np.diff(numbers) != 1).sum())
-        missing = int(numbers[-1]) - int(numbers[0]) + 1 - numbers.size if numbers.size else 0
-    rate = (time.size - 1) / span if span else 0.0
-    return TopicDescription(name, messages.type_name, time.size, rate, gaps, missing, lost)
+    gaps = sequence_gaps(messages)
+    return TopicDescription(
+        name=name,
+        type_name=messages.type_name,
+        count=time.size,
+        rate=(time.size - 1) / span if span else 0.0,
+        gaps=None if gaps is None else gaps.gaps,
+        missing=None if gaps is None else gaps.missing,
+        lost=lost,
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -46,6 +46,15 @@ class TopicArrays:
     fields: dict[str, NDArray[Any]]
     log_time: NDArray[np.int64]
     publish_time: NDArray[np.int64]
+
+
+class SequenceGaps(NamedTuple):
+    """First and last `sequence` of a topic's messages, how often it skips numbers between them, and how many."""
+
+    first: int
+    last: int
+    gaps: int
+    missing: int
 
 
 class BagContents(dict[str, TopicArrays]):
@@ -282,14 +291,23 @@ def in_brackets(warnings: Sequence[str]) -> str:
     return f" ({'; '.join(warnings)})" if warnings else ""
 
 
-def missing_messages(topic: str, messages: TopicArrays) -> str:
-    """How many messages of a `topic` are missing by the `sequence` of those read, where the bag's own count is lost."""
+def sequence_gaps(messages: TopicArrays) -> SequenceGaps | None:
+    """Gaps in the `sequence` of `messages`; None where there are no messages, or none with a `sequence`."""
     sequence = messages.fields.get("sequence")
     if sequence is None or sequence.dtype.kind not in "iu" or sequence.ndim > 1 or not sequence.size:
+        return None
+    numbers = np.unique(sequence)
+    first, last = int(numbers[0]), int(numbers[-1])
+    return SequenceGaps(first, last, int((np.diff(numbers) != 1).sum()), last - first + 1 - numbers.size)
+
+
+def missing_messages(topic: str, messages: TopicArrays) -> str:
+    """How many `messages` of a `topic` are missing by their `sequence`, for a warning where the bag's count is lost."""
+    gaps = sequence_gaps(messages)
+    if gaps is None:
         return f"topic {topic}: how many messages are missing is not known"
-    first, last = int(sequence.min()), int(sequence.max())
-    missing = last - first + 1 - np.unique(sequence).size
-    return f"topic {topic}: {missing} of the samples {first} to {last} are missing, later ones are not known"
+    samples = f"{gaps.missing} of the samples {gaps.first} to {gaps.last}"
+    return f"topic {topic}: {samples} are missing, later ones are not known"
 
 
 def _topic(recorded: list[tuple[RecordedChannel, Stream | None]]) -> tuple[TopicArrays, list[str]]:

@@ -113,7 +113,7 @@ class McapFile:
         """
         if not summary.complete:
             return False
-        chosen = [chunk for chunk in summary.chunks if self._filter.may_accept_of(chunk, summary.table.channels)]
+        chosen = [chunk for chunk in summary.chunks if self._filter.may_match(chunk, summary.table.channels)]
         if len(chosen) == len(summary.chunks):
             return False
         self._selection.table = summary.table

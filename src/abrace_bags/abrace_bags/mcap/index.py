@@ -81,7 +81,7 @@ class MessageFilter:
     begin: int | None = None
     end: int | None = None
 
-    def may_accept_of(self, chunk: ChunkIndex, channels: Mapping[int, RecordedChannel]) -> bool:
+    def may_match(self, chunk: ChunkIndex, channels: Mapping[int, RecordedChannel]) -> bool:
         """Whether a chunk may hold such messages, by its index and the file's `channels`."""
         if self.end is not None and chunk.message_start_time >= self.end:
             return False

@@ -121,10 +121,10 @@ def next_record(file: BinaryIO, size: int) -> tuple[int, bytes]:
     """Opcode and content of the next record of a file of `size` bytes."""
     head = file.read(RECORD_HEAD.size)
     if len(head) < RECORD_HEAD.size:
-        raise DamagedError("is not a whole record")
+        raise DamagedError("is not whole")
     opcode, length = RECORD_HEAD.unpack(head)
     if length > size - file.tell():
-        raise DamagedError("is not a whole record")
+        raise DamagedError("is not whole")
     return opcode, file.read(length)
 
 
