@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from abrace_bags.cdr import decode
-from abrace_bags.ros2msg import MessageField, parse_fields, parse_message_type
+from abrace_bags.definitions import MessageField, parse_fields, parse_message_type
 from abrace_core.errors import AbraceError
 
 NUMBERS = {

@@ -1,4 +1,4 @@
-"""Damaged bags: what is whole is read, what is missing is said by topic, and a whole bag is made of what is there."""
+"""Damaged bags: what is whole is read, what is missing is reported by topic, and a whole bag is recovered from it."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ import bag_damage
 import numpy as np
 import pytest
 from bag_damage import damage, fingerprints
-from mcap.reader import make_reader
+from mcap.data_stream import RecordBuilder
+from mcap.records import Attachment, Channel, Chunk, ChunkIndex, Footer, Header, Metadata, Schema, Statistics
 from mcap.writer import CompressionType, Writer
+from mcap_chunks import chunk_indexes, chunk_offsets
 from reference_messages import DEFINITIONS, HASHES, RESPONSE, STORE, STRING, note, response_message, serialised
 from rosbags.highlevel import AnyReader
 
 from abrace_bags import DEFAULT_QOS, BagWriter, read_topics, recover
 from abrace_bags.mcap.attachments import file_attachments
+from abrace_bags.mcap.records import DamagedError, parse
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -45,16 +48,9 @@ def write_bag(directory: Path, samples: int, flush_every: int = 10**9) -> Path:
     return directory / f"{directory.name}_0.mcap"
 
 
-def chunk_offsets(path: Path) -> list[int]:
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    return [index.chunk_start_offset for index in summary.chunk_indexes]
-
-
-def flip(path: Path, place: int, bit: int = 0) -> None:
+def flip(path: Path, offset: int, bit: int = 0) -> None:
     content = bytearray(path.read_bytes())
-    content[place] ^= 1 << bit
+    content[offset] ^= 1 << bit
     path.write_bytes(content)
 
 
@@ -86,15 +82,55 @@ def test_fingerprints_tell_messages_apart(tmp_path: Path) -> None:
         assert np.unique(fingerprints(messages)).size == messages.log_time.size
 
 
-@pytest.mark.parametrize("place", range(8))
-def test_damaged_opening_mark_costs_nothing(tmp_path: Path, place: int) -> None:
+RECORDS = [
+    Header("ros2", "abrace"),
+    Schema(3, b"float64 x\n", "ros2msg", "test_msgs/msg/Number"),
+    Channel(5, "/number", "cdr", {"topic_type_hash": "RIHS01_0", "offered_qos_profiles": ""}, 3),
+    Chunk("zstd", b"packed bytes", 7, 8, 9, 10),
+    ChunkIndex(11, 12, "zstd", 13, 14, 15, {5: 16, 6: 17}, 18, 19),
+    Attachment(20, 21, "rig.yaml", "text/plain", b"storeys: 3"),
+    Metadata("abrace", {"rig": "ncree", "record": "El Centro"}),
+    Statistics(1, 2, {5: 22, 6: 23}, 3, 45, 24, 25, 1, 1),
+    Footer(26, 27, 28),
+]
+
+
+def content(record: Any) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()[9:]
+
+
+@pytest.mark.parametrize("record", RECORDS, ids=lambda record: type(record).__name__)
+def test_record_that_is_cut_or_has_a_wrong_length_is_damaged(record: Any) -> None:
+    kind, body = type(record), content(record)
+    assert parse(kind, body) == record
+    for size in range(len(body)):
+        with pytest.raises(DamagedError):
+            parse(kind, body[:size])
+    if kind in (ChunkIndex, Statistics, Footer):  # the summary section has a checksum, and may have further fields
+        return
+    with pytest.raises(DamagedError, match="lengths that don't fit"):
+        parse(kind, body + b"\0")
+    for bit in range(8 * len(body)):
+        flipped = bytearray(body)
+        flipped[bit // 8] ^= 1 << bit % 8
+        try:
+            other = parse(kind, bytes(flipped))
+        except DamagedError:
+            continue
+        assert content(other)[:-4] == flipped[:-4], f"bit {bit} is flipped, and something else is read"
+
+
+@pytest.mark.parametrize("offset", range(8))
+def test_damaged_magic_costs_nothing(tmp_path: Path, offset: int) -> None:
     path = write_bag(tmp_path / "bag", 20)
-    flip(path, place, place)
+    flip(path, offset, offset)
     contents = read_topics(path)
     assert contents["/response"].fields["sequence"].tolist() == list(range(20))
     assert contents.facts == FACTS
-    assert contents.warnings == (f"{path}: its opening mark is damaged",)
-    flip(path, (place + 1) % 8, 0)
+    assert contents.warnings == (f"{path}: the magic at its beginning is damaged",)
+    flip(path, (offset + 1) % 8, 0)
     with pytest.raises(AbraceError, match="not an MCAP file"):
         read_topics(path)
 
@@ -110,12 +146,12 @@ def test_a_damaged_head_costs_its_chunk_alone(tmp_path: Path, part: str, indexed
     flip(path, offset + {"opcode": 0, "length": 3}[part], 3)
     contents = read_topics(path)
     assert sorted(set(range(60)) - set(contents["/response"].fields["sequence"].tolist())) == list(range(20, 30))
-    said = "10 of 60 messages of /response are missing" if indexed else "10 of the samples 0 to 59 are missing"
-    assert any(said in warning for warning in contents.warnings), contents.warnings
+    expected = "10 of 60 messages of /response are missing" if indexed else "10 of the samples 0 to 59 are missing"
+    assert any(expected in warning for warning in contents.warnings), contents.warnings
     assert any("/note" in warning for warning in contents.warnings), contents.warnings
 
 
-def test_cut_file_says_by_topic_that_the_rest_is_not_known(tmp_path: Path) -> None:
+def test_cut_file_reports_by_topic_that_the_rest_is_not_known(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", 60, flush_every=10)
     path.write_bytes(path.read_bytes()[: chunk_offsets(path)[3] + 100])
     warnings = read_topics(path).warnings
@@ -162,21 +198,18 @@ def test_zeros_at_the_end_of_a_file_are_no_values(tmp_path: Path, zeros: int) ->
             assert read["ground_acceleration"][k] == values[-1]
 
 
-def test_message_index_that_lies_is_not_believed(tmp_path: Path) -> None:
+def test_message_index_with_wrong_offsets_is_not_used(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", 200, flush_every=50)
     whole = read_topics(path)["/response"].fields["force"]
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    place = min(summary.chunk_indexes[1].message_index_offsets.values())
-    flip(path, place + 9 + 2 + 4 + 8, 5)
+    offset = min(chunk_indexes(path)[1].message_index_offsets.values())
+    flip(path, offset + 9 + 2 + 4 + 8, 5)
     contents = read_topics(path)
     np.testing.assert_array_equal(contents["/response"].fields["force"], whole)
     assert any("damaged between its chunks" in warning for warning in contents.warnings)
 
 
 def test_damage_outside_chunks_is_an_error_or_all_of_them_are_missing(tmp_path: Path) -> None:
-    path = tmp_path / "loose.mcap"
+    path = tmp_path / "unchunked.mcap"
     with path.open("wb") as file:
         writer = Writer(file, use_chunking=False, enable_data_crcs=True)
         writer.start("ros2")
@@ -188,10 +221,10 @@ def test_damage_outside_chunks_is_an_error_or_all_of_them_are_missing(tmp_path: 
         writer.finish()
     whole = path.read_bytes()
     first = whole.index(b"note 0\0")
-    for place in range(first - 60, first + 300, 7):
+    for offset in range(first - 60, first + 300, 7):
         path.write_bytes(whole)
-        flip(path, place, place % 8)
-        if place in (first - 39, first - 32):  # where the head of the first message stands: none is found at all
+        flip(path, offset, offset % 8)
+        if offset in (first - 39, first - 32):  # opcode and length of the first message: none is found at all
             contents = read_topics(path)
             assert contents["/note"].log_time.size == 0
             assert any("40 of 40 messages of /note are missing" in warning for warning in contents.warnings)

@@ -70,7 +70,7 @@ def test_name_that_is_no_message_type_is_refused(name: str) -> None:
         message_definition(name)
 
 
-def test_missing_or_odd_hash_file_is_said(prefix: Path) -> None:
+def test_missing_or_odd_hash_file_is_reported(prefix: Path) -> None:
     install(prefix, "a_msgs/Leaf", "float64 x\n")
     path = prefix / "share/a_msgs/msg/Leaf.json"
     path.write_text("{}")

@@ -9,8 +9,8 @@ import mcap.writer
 import numpy as np
 import pytest
 import zstandard
-from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
+from mcap_chunks import chunk_offsets
 
 from abrace_bags import read_facts, read_topics, recover
 from abrace_bags.raw import read_raw
@@ -43,13 +43,6 @@ def write(path: Path, samples: int = 60, **options: Any) -> Path:
                 writer.add_message(topic, 10 * k, number(k), 10 * k)
         writer.finish()
     return path
-
-
-def chunk_offsets(path: Path) -> list[int]:
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    return [index.chunk_start_offset for index in summary.chunk_indexes]
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ def test_messages_of_one_time_come_in_the_order_in_which_they_were_written(tmp_p
     assert [tuple(message) for message in read_raw(tmp_path / "bag").messages] == content
 
 
-def test_a_clock_that_was_set_back_while_recording_is_said(tmp_path: Path) -> None:
+def test_a_clock_that_was_set_back_while_recording_is_reported(tmp_path: Path) -> None:
     second = 10**9
     content = [("/a/said" if k % 2 else "/b/said", b"%d" % k, (k + 100) * second) for k in range(10)]
     content[7] = ("/a/said", b"7", 104 * second + 5)
@@ -227,7 +227,7 @@ def test_a_damaged_sqlite3_bag_is_refused_or_says_what_is_missing(tmp_path: Path
     assert all(text.startswith(f"{path}: ") and "\n" not in text for text in refusals)
 
 
-def test_messages_that_a_database_has_no_more_are_said(tmp_path: Path) -> None:
+def test_messages_missing_in_a_database_are_reported(tmp_path: Path) -> None:
     path = write_theirs(tmp_path / "bag", messages(30), StoragePlugin.SQLITE3)
     (file,) = path.glob("*.db3")
     with contextlib.closing(sqlite3.connect(file)) as database, database:

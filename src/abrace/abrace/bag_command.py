@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from abrace.report.table import Table
 from abrace_bags import BagContents, read_topics
-from abrace_bags.files import topic_names
+from abrace_bags.reader import topic_names
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:

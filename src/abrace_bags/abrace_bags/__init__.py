@@ -2,7 +2,7 @@
 
 A bag is a directory that `ros2 bag`, `mcap` and `rosbags` read, with the run's facts in it. It is written message by
 message (`BagWriter`), and read back whole topics at a time as arrays (`read_topics`) or as a test of the rig
-(`read_run`), also when the process that wrote it was killed; `recover` makes a whole bag of such a one.
+(`read_run`), also when the process that wrote it was killed; `recover` writes such a bag anew, whole.
 """
 
 from abrace_bags.definitions import MessageDefinition, message_definition

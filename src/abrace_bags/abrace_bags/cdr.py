@@ -1,9 +1,9 @@
 """Messages to arrays: the layout of a serialised message, and its decoding for many messages at once.
 
-A message is serialised as little-endian CDR (XCDR1): four bytes that say so, then the fields in order, each number
-aligned to its own size counted from behind those four bytes. Only lengths of strings and sequences move what follows
-them, so one walk through one message tells the place of every number in all messages of the same lengths. They are
-decoded together; messages of other lengths are walked and decoded in their turn.
+A message is serialised as little-endian CDR (XCDR1): the encapsulation header of four bytes, then the fields in order,
+each number aligned to its own size counted from the end of that header. Only the lengths of strings and sequences move
+what follows them, so one walk through one message gives the offset of every number in all messages of the same lengths.
+They are decoded together; messages of other lengths are walked and decoded in their turn.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from abrace_bags.ros2msg import NUMBERS
+from abrace_bags.definitions import NUMBERS
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from abrace_bags.ros2msg import MessageType
+    from abrace_bags.definitions import MessageType
 
 _HEADER_SIZE = 4
-_MOST_MISFITS = 100
+_MOST_UNDECODABLE = 100
 _PADDED_SIZE = 1 << 28
 """Bytes of texts, each as long as the longest, above which they become objects."""
 
 
 @dataclass(frozen=True)
-class _Place:
-    """Where a number, an array of numbers or a string stands in a message; a count of None is a single value."""
+class _Leaf:
+    """A number, an array of numbers or a string in a message, and its offset; a count of None is a single value."""
 
     offset: int
     format: str
@@ -41,16 +41,15 @@ class _Place:
     kind: str = "number"
 
 
-_Column: TypeAlias = "_Place | list[_Column]"
+_Column: TypeAlias = "_Leaf | list[_Column]"
 
 
 @dataclass
 class _Layout:
-    """Places of everything in a message, and the values of the words that fix them."""
+    """Where everything is in a message, and the numbers (offset, format, value) by which messages have this layout."""
 
     columns: dict[str, _Column] = field(default_factory=dict)
-    words: list[tuple[int, str, int]] = field(default_factory=list)
-    size: int = 0
+    signature: list[tuple[int, str, int]] = field(default_factory=list)
 
 
 def decode(message_type: MessageType, payloads: Sequence[tuple[NDArray[np.int64], NDArray[np.void]]]) -> dict[str, Any]:
@@ -78,17 +77,17 @@ def decode(message_type: MessageType, payloads: Sequence[tuple[NDArray[np.int64]
     groups = [
         (numbers[chosen], {path: _values(column, records) for path, column in layout.columns.items()})
         for numbers, block in payloads
-        for chosen, records, layout in _alike(message_type, numbers, block)
+        for chosen, records, layout in _by_layout(message_type, numbers, block)
     ]
     if not groups:
         return {path: np.empty(0) for path in _paths(message_type, message_type.name)}
     return {path: _joined(count, [(numbers, group[path]) for numbers, group in groups]) for path in groups[0][1]}
 
 
-def misfits(
+def undecodable(
     message_type: MessageType, payloads: Sequence[tuple[NDArray[np.int64], NDArray[np.void]]]
 ) -> NDArray[np.int64]:
-    """Numbers of the messages that `decode` refuses, found by halving.
+    """Numbers of the messages that `decode` refuses, found by bisection.
 
     Parameters
     ----------
@@ -100,57 +99,57 @@ def misfits(
     AbraceError
         If there are many: the definition is another type's then.
     """
-    found: list[int] = []
+    refused: list[int] = []
 
-    def look(numbers: NDArray[np.int64], block: NDArray[np.void]) -> None:
+    def search(numbers: NDArray[np.int64], block: NDArray[np.void]) -> None:
         try:
             decode(message_type, [(np.arange(len(block)), block)])
         except AbraceError:
-            if len(found) == _MOST_MISFITS:
+            if len(refused) == _MOST_UNDECODABLE:
                 raise
             if len(block) == 1:
-                found.append(int(numbers[0]))
+                refused.append(int(numbers[0]))
                 return
             half = len(block) // 2
-            look(numbers[:half], block[:half])
-            look(numbers[half:], block[half:])
+            search(numbers[:half], block[:half])
+            search(numbers[half:], block[half:])
 
     for numbers, block in payloads:
-        look(numbers, block)
-    return np.array(found, np.int64)
+        search(numbers, block)
+    return np.array(refused, np.int64)
 
 
-def _alike(
+def _by_layout(
     message_type: MessageType, numbers: NDArray[np.int64], block: NDArray[np.void]
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.void], _Layout]]:
     """Groups of messages of one layout: which of the block, their records, the layout."""
-    left = np.arange(len(block))
-    while left.size:
+    remaining = np.arange(len(block))
+    while remaining.size:
         try:
             layout = _Walk(message_type, block[0].tobytes()).layout
         except AbraceError as error:
-            raise AbraceError(f"message {numbers[left[0]]}: {error}") from error
-        places = list(_places(layout.columns.values()))
-        names = [f"word {offset}" for offset, _, _ in layout.words] + [str(place.offset) for place in places]
-        formats: list[Any] = [form for _, form, _ in layout.words]
-        formats += [place.format if place.count is None else (place.format, (place.count,)) for place in places]
-        offsets = [offset for offset, _, _ in layout.words] + [place.offset for place in places]
+            raise AbraceError(f"message {numbers[remaining[0]]}: {error}") from error
+        leaves = list(_leaves(layout.columns.values()))
+        names = [f"signature {offset}" for offset, _, _ in layout.signature] + [str(leaf.offset) for leaf in leaves]
+        formats: list[Any] = [form for _, form, _ in layout.signature]
+        formats += [leaf.format if leaf.count is None else (leaf.format, (leaf.count,)) for leaf in leaves]
+        offsets = [offset for offset, _, _ in layout.signature] + [leaf.offset for leaf in leaves]
         row = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": block.dtype.itemsize})
         records = block.view(row)
         same = np.ones(len(block), bool)
-        for offset, _, value in layout.words:
-            same &= records[f"word {offset}"] == value
+        for offset, _, value in layout.signature:
+            same &= records[f"signature {offset}"] == value
         if same.all():
-            yield left, records, layout
+            yield remaining, records, layout
             return
-        yield left[same], records[same], layout
-        left, block = left[~same], block[~same]
+        yield remaining[same], records[same], layout
+        remaining, block = remaining[~same], block[~same]
 
 
-def _places(columns: Any) -> Iterator[_Place]:
+def _leaves(columns: Any) -> Iterator[_Leaf]:
     for column in columns:
         if isinstance(column, list):
-            yield from _places(column)
+            yield from _leaves(column)
         elif column.count != 0:
             yield column
 
@@ -207,14 +206,14 @@ def _joined(count: int, groups: list[tuple[NDArray[np.int64], NDArray[Any]]]) ->
 def _paths(message_type: MessageType, type_name: str, prefix: str = "") -> list[str]:
     """Names of the values of a message type."""
     paths = []
-    for one in message_type.fields[type_name]:
-        nested = one.type_name in message_type.fields
-        paths += _paths(message_type, one.type_name, f"{prefix}{one.name}.") if nested else [prefix + one.name]
+    for member in message_type.fields[type_name]:
+        nested = member.type_name in message_type.fields
+        paths += _paths(message_type, member.type_name, f"{prefix}{member.name}.") if nested else [prefix + member.name]
     return paths
 
 
 class _Walk:
-    """Goes through one message and notes the layout."""
+    """Goes through one message, field by field, for its layout."""
 
     def __init__(self, message_type: MessageType, payload: bytes) -> None:
         self._type = message_type
@@ -223,11 +222,10 @@ class _Walk:
         self.layout = _Layout()
         if payload[:2] != b"\x00\x01":
             raise AbraceError(f"begins with {payload[:2].hex(' ')}, expected 00 01 (little-endian CDR)")
-        self.layout.words.append((0, ">u2", 1))
+        self.layout.signature.append((0, ">u2", 1))
         self.layout.columns.update(self._message(message_type.name))
-        self.layout.size = self._offset
         # Fast DDS reserves up to 8 bytes for an empty sequence that it doesn't write, and pads the end to 4 bytes
-        spare = 3 + 8 * sum(form == "<u4" and value == 0 for _, form, value in self.layout.words)
+        spare = 3 + 8 * sum(form == "<u4" and value == 0 for _, form, value in self.layout.signature)
         if not 0 <= len(payload) - self._offset <= spare:
             raise AbraceError(
                 f"has {len(payload)} bytes, expected {self._offset} by the definition of {message_type.name}"
@@ -238,48 +236,48 @@ class _Walk:
         fields = self._type.fields[type_name]
         if not fields:  # ROS gives an empty message one unused byte
             self._advance(1)
-        for one in fields:
-            count = self._length() if one.count == 0 else one.count
-            if one.type_name in NUMBERS:
-                columns[one.name] = self._numbers(one.type_name, count)
-            elif one.type_name == "string":
-                columns[one.name] = self._string() if count is None else [self._string() for _ in range(count)]
+        for member in fields:
+            count = self._length() if member.count == 0 else member.count
+            if member.type_name in NUMBERS:
+                columns[member.name] = self._numbers(member.type_name, count)
+            elif member.type_name == "string":
+                columns[member.name] = self._string() if count is None else [self._string() for _ in range(count)]
             elif count is None:
-                nested = self._message(one.type_name)
-                columns.update({f"{one.name}.{path}": column for path, column in nested.items()})
+                nested = self._message(member.type_name)
+                columns.update({f"{member.name}.{path}": column for path, column in nested.items()})
             else:
-                elements = [self._message(one.type_name) for _ in range(count)]
-                for path in _paths(self._type, one.type_name):
-                    columns[f"{one.name}.{path}"] = [element[path] for element in elements]
+                elements = [self._message(member.type_name) for _ in range(count)]
+                for path in _paths(self._type, member.type_name):
+                    columns[f"{member.name}.{path}"] = [element[path] for element in elements]
         return columns
 
-    def _numbers(self, type_name: str, count: int | None) -> _Place:
+    def _numbers(self, type_name: str, count: int | None) -> _Leaf:
         form = NUMBERS[type_name]
         kind = "bool" if type_name == "bool" else "number"
         if count == 0:
-            return _Place(self._offset, "?" if kind == "bool" else form, 0)
+            return _Leaf(self._offset, "?" if kind == "bool" else form, 0)
         size = int(form[-1])
         self._align(size)
-        place = _Place(self._offset, form, count, kind)
+        leaf = _Leaf(self._offset, form, count, kind)
         self._advance(size * (1 if count is None else count))
-        return place
+        return leaf
 
-    def _string(self) -> _Place:
+    def _string(self) -> _Leaf:
         length = self._length()
-        place = _Place(self._offset, f"S{length}", None if length else 0, "string")
+        leaf = _Leaf(self._offset, f"S{length}", None if length else 0, "string")
         self._advance(length)
         if length:
             if self._payload[self._offset - 1] != 0:
-                raise AbraceError(f"the string at byte {place.offset} does not end with a zero after {length} bytes")
-            self.layout.words.append((self._offset - 1, "u1", 0))
-        return place
+                raise AbraceError(f"the string at byte {leaf.offset} does not end with a zero after {length} bytes")
+            self.layout.signature.append((self._offset - 1, "u1", 0))
+        return leaf
 
     def _length(self) -> int:
         self._align(4)
         offset = self._offset
         self._advance(4)
         (value,) = struct.unpack_from("<I", self._payload, offset)
-        self.layout.words.append((offset, "<u4", value))
+        self.layout.signature.append((offset, "<u4", value))
         return int(value)
 
     def _align(self, size: int) -> None:

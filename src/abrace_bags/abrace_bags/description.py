@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from abrace_bags.files import bag_files
 from abrace_bags.losses import lost_messages
-from abrace_bags.reader import read_topics
+from abrace_bags.reader import bag_files, read_topics, sequence_of
 from abrace_core.sequence import missing_numbers
 
 if TYPE_CHECKING:
@@ -29,11 +28,11 @@ class TopicDescription:
     rate
         Messages a second between the first and the last; 0 where there are fewer than two.
     gaps
-        Places where `sequence` skips numbers; None for messages without one.
+        How often `sequence` skips numbers; None for messages without one.
     missing
-        Numbers skipped in all; None for messages without a `sequence`.
+        Numbers that it skips in all; None for messages without a `sequence`.
     lost
-        Messages that the logger lost, as the bag says; None where it doesn't.
+        Messages that the logger counted as lost; None where the bag has no such count.
     """
 
     name: str
@@ -60,7 +59,7 @@ class BagDescription:
     files
         How many those are.
     facts
-        What it says of its run.
+        Of its run: rig, controller, record.
     attachments
         Bytes of the files that are in it, by name.
     warnings
@@ -109,9 +108,7 @@ def describe(bag: Path | str) -> BagDescription:
 def _topic(name: str, messages: TopicArrays, lost: int | None) -> TopicDescription:
     time = messages.log_time
     span = 1e-9 * int(time.max() - time.min()) if time.size > 1 else 0.0
-    sequence = messages.fields.get("sequence")
-    gaps = missing = None
-    if sequence is not None and sequence.dtype.kind in "iu" and sequence.ndim == 1:
-        gaps, missing = missing_numbers(sequence)
+    sequence = sequence_of(messages)
+    gaps, missing = (None, None) if sequence is None else missing_numbers(sequence)
     rate = (time.size - 1) / span if span else 0.0
     return TopicDescription(name, messages.type_name, time.size, rate, gaps, missing, lost)

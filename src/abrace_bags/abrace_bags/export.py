@@ -39,18 +39,18 @@ def columns(messages: TopicArrays) -> dict[str, NDArray[Any]]:
     AbraceError
         If an array has not the same length in all messages.
     """
-    found: dict[str, NDArray[Any]] = {}
+    table: dict[str, NDArray[Any]] = {}
     for name, values in _with_times(messages).items():
         if values.dtype == object and not (values.size and isinstance(values.flat[0], str)):
             raise AbraceError(f"{name} has not the same length in all messages, expected a table's columns")
-        places = itertools.product(*map(range, values.shape[1:]))
-        for place, column in zip(places, values.reshape(len(values), math.prod(values.shape[1:])).T, strict=True):
-            found[name + "".join(f"[{number}]" for number in place)] = column
-    return found
+        indices = itertools.product(*map(range, values.shape[1:]))
+        for index, column in zip(indices, values.reshape(len(values), math.prod(values.shape[1:])).T, strict=True):
+            table[name + "".join(f"[{number}]" for number in index)] = column
+    return table
 
 
 def write_csv(path: Path | str, messages: TopicArrays) -> None:
-    """Write a topic's `messages` as comma-separated values, a line each below one of names; every digit is kept.
+    """Write a topic's `messages` as comma-separated values, a header line and a line each; no digit is lost.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def write_csv(path: Path | str, messages: TopicArrays) -> None:
         If an array has not the same length in all messages, or the file can't be written.
     """
     table = columns(messages)
-    with write_beside(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+    with write_beside(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(table)
         writer.writerows(zip(*(column.tolist() for column in table.values()), strict=True))
@@ -88,8 +88,8 @@ def write_mat(path: Path | str, topics: Mapping[str, TopicArrays], facts: Mappin
     for topic, messages in topics.items():
         _add(structs, topic, _struct(_with_times(messages)))
     _add(structs, "facts", _struct(facts))
-    with write_beside(path) as beside:
-        savemat(str(beside), structs, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
+    with write_beside(path) as temporary:
+        savemat(str(temporary), structs, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
 
 
 def _with_times(messages: TopicArrays) -> dict[str, NDArray[Any]]:

@@ -6,7 +6,7 @@ import json
 import struct
 from typing import TYPE_CHECKING
 
-from abrace_bags.ros2msg import MessageField, parse_fields
+from abrace_bags.definitions import MessageField, parse_fields
 from abrace_core import wire
 from abrace_core.errors import AbraceError
 from abrace_core.sequence import SequenceCounter

@@ -10,14 +10,14 @@ import operator
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import yaml
 
-from abrace_bags.files import open_bag
-from abrace_bags.mcap.selection import Wanted
+from abrace_bags.mcap.index import MessageFilter
 from abrace_bags.qos import combined_qos, parse_qos
+from abrace_bags.reader import open_bag
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Qos
 
-    from abrace_bags.mcap.stream import Channel
+    from abrace_bags.mcap.index import RecordedChannel
 
 
 OUT_OF_TURN = 100_000_000
@@ -102,15 +102,15 @@ def read_raw(bag: Path | str, topics: Collection[str] = ()) -> RawBag:
     return raw
 
 
-def choose_topics(bag: Path | str, there: Iterable[str], asked: Collection[str]) -> set[str]:
+def choose_topics(bag: Path | str, names: Iterable[str], asked: Collection[str]) -> set[str]:
     """Names of a bag's topics that are asked for.
 
     Parameters
     ----------
     bag
-        For the error's words.
-    there
-        Names of the bag's topics.
+        For the error message.
+    names
+        Of the bag's topics.
     asked
         Whole names or ends of names; all when empty.
 
@@ -119,19 +119,19 @@ def choose_topics(bag: Path | str, there: Iterable[str], asked: Collection[str])
     AbraceError
         If a name is not among them or stands for several.
     """
-    names = sorted(set(there))
+    names = sorted(set(names))
     chosen = set(names if not asked else ())
     for one in asked:
-        found = [one] if one in names else [name for name in names if _ends_so(name, one)]
-        if len(found) > 1:
-            raise AbraceError(f"{bag}: topic {one} stands for {', '.join(found)}, name one of them")
-        if not found:
+        matching = [one] if one in names else [name for name in names if _is_end_of(one, name)]
+        if len(matching) > 1:
+            raise AbraceError(f"{bag}: topic {one} stands for {', '.join(matching)}, name one of them")
+        if not matching:
             raise AbraceError(f"{bag}: no topic {one} in it, it has {', '.join(names) or 'none'}")
-        chosen.update(found)
+        chosen.update(matching)
     return chosen
 
 
-def _ends_so(name: str, asked: str) -> bool:
+def _is_end_of(asked: str, name: str) -> bool:
     return not asked.startswith("/") and name.endswith(f"/{asked}")
 
 
@@ -146,42 +146,42 @@ def _needs_rosbags(path: Path) -> bool:
         information = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
         return information["storage_identifier"] != "mcap" or bool(information.get("compression_format"))
     except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, AttributeError):
-        # who looks for its MCAP files says what is wrong
+        # reading its MCAP files reports what is wrong
         return False
 
 
 def _from_mcap(bag: Path, asked: Collection[str]) -> RawBag:
-    def wanted(channel: Channel) -> bool:
-        return not asked or any(channel.topic == one or _ends_so(channel.topic, one) for one in asked)
+    def accepts(channel: RecordedChannel) -> bool:
+        return not asked or any(channel.topic == one or _is_end_of(one, channel.topic) for one in asked)
 
-    opened = open_bag(bag, Wanted(wanted))
+    opened = open_bag(bag, MessageFilter(accepts))
     files, warnings = opened.files, opened.warnings
     chosen = choose_topics(bag, (channel.topic for file in files for channel in file.channels.values()), asked)
     topics: dict[str, RecordedTopic] = {}
     messages: list[RawMessage] = []
     for file in files:
-        written: list[tuple[int, RawMessage]] = []
-        for number, channel in file.channels.items():
+        numbered: list[tuple[int, RawMessage]] = []
+        for channel_id, channel in file.channels.items():
             if channel.topic not in chosen:
                 continue
             if channel.message_encoding != "cdr":
                 raise AbraceError(
                     f"{bag}: topic {channel.topic} is written as {channel.message_encoding!r}, expected 'cdr'"
                 )
-            details = channel.details
-            qos = _combined_qos(bag, channel.topic, details.get("offered_qos_profiles", ""))
-            found_topic = RecordedTopic(channel.topic, channel.type_name, details.get("topic_type_hash", ""), qos)
-            _add(bag, topics, found_topic)
-            if number in file.streams:
-                stream = file.streams[number]
+            metadata = channel.metadata
+            qos = _combined_qos(bag, channel.topic, metadata.get("offered_qos_profiles", ""))
+            topic = RecordedTopic(channel.topic, channel.type_name, metadata.get("topic_type_hash", ""), qos)
+            _add(bag, topics, topic)
+            if channel_id in file.streams:
+                stream = file.streams[channel_id]
                 if (np.diff(stream.log_time) < -OUT_OF_TURN).any():
                     warnings.append(
                         f"{bag}: the times of {channel.topic} step back, its messages come in the order of their times"
                     )
-                found = (RawMessage(channel.topic, payload, log_time) for log_time, _, payload in stream.messages())
-                written += zip(stream.place.tolist(), found, strict=True)
-        written.sort(key=operator.itemgetter(0))
-        messages += [message for _, message in written]
+                of_topic = (RawMessage(channel.topic, payload, log_time) for log_time, _, payload in stream.messages())
+                numbered += zip(np.concatenate(stream.file_numbers).tolist(), of_topic, strict=True)
+        numbered.sort(key=operator.itemgetter(0))
+        messages += [message for _, message in numbered]
     return RawBag(topics, messages, tuple(warnings))
 
 
@@ -202,7 +202,8 @@ def _by_rosbags(bag: Path, asked: Collection[str]) -> RawBag:
             chosen = choose_topics(bag, (connection.topic for connection in reader.connections), asked)
             connections = [connection for connection in reader.connections if connection.topic in chosen]
             for connection in connections:
-                qos = _combined_qos(bag, connection.topic, connection.ext.offered_qos_profiles)
+                extension: Any = connection.ext  # that of rosbag2 has the QoS
+                qos = _combined_qos(bag, connection.topic, extension.offered_qos_profiles)
                 _add(bag, topics, RecordedTopic(connection.topic, connection.msgtype, connection.digest, qos))
             messages = [
                 RawMessage(connection.topic, bytes(payload), time)

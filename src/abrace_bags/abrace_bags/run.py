@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_bags.reader import read_selected
+from abrace_bags.reader import in_brackets, read_selected
 from abrace_core.errors import AbraceError
 from abrace_core.run import Run
 from abrace_core.sequence import breaks
@@ -34,12 +34,12 @@ def read_run(bag: Path | str, topic: str | None = None, whole: bool = True) -> R
     topic
         The topic of the responses; when None, the only one of their type.
     whole
-        Whether missing samples are an error; if not, the run has the samples that there are, with their numbers.
+        Whether missing samples are an error; if not, the run has the samples of the bag, with their numbers.
 
     Returns
     -------
     Run
-        The test. What the reader has to say of a bag that was cut off or damaged is in its facts, as `warnings`.
+        The test. The reader's warnings of a bag that was cut off or damaged are in its facts, as `warnings`.
 
     Raises
     ------
@@ -48,18 +48,18 @@ def read_run(bag: Path | str, topic: str | None = None, whole: bool = True) -> R
         not finite.
     """
     contents = read_selected(bag, lambda channel: channel.type_name == RESPONSE_TYPE)
-    aside = f" ({'; '.join(contents.warnings)})" if contents.warnings else ""
+    why = in_brackets(contents.warnings)
     if topic is None and len(contents) > 1:
         raise AbraceError(f"{bag}: has {len(contents)} topics of responses, name one of {', '.join(contents)}")
     if topic is None:
         topic = next(iter(contents), None)
     if topic is None or topic not in contents:
-        raise AbraceError(f"{bag}: no topic {topic or ''} of type {RESPONSE_TYPE} in it{aside}".replace("  ", " "))
+        raise AbraceError(f"{bag}: no topic {topic or ''} of type {RESPONSE_TYPE} in it{why}".replace("  ", " "))
     response = contents[topic]
     try:
         run = _run(str(bag), response, contents.facts, whole)
     except AbraceError as error:
-        raise AbraceError(f"{bag}: topic {topic}: {error}{aside}") from error
+        raise AbraceError(f"{bag}: topic {topic}: {error}{why}") from error
     if contents.warnings:
         run.facts["warnings"] = list(contents.warnings)
     return run

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from mcap.records import Channel, Schema
 
 from abrace_bags.losses import COUNTS_RECORD, TopicCounts, counts_record, is_numbered, sequence_number
+from abrace_bags.mcap.chunk_writer import compressor
 from abrace_bags.mcap.file_writer import McapWriter
-from abrace_bags.mcap.open_chunk import compressor
 from abrace_bags.mcap.records import CHECKSUM_KEY, FACTS_RECORD, facts_checksum
 from abrace_bags.metadata import METADATA_FILE, FileSpan, bag_information, yaml_text
 from abrace_bags.qos import DEFAULT_QOS, in_words

@@ -1,7 +1,7 @@
-"""One MCAP file, written record by record, with checksums and an index at its end.
+"""One MCAP file, written record by record, with checksums and a summary section.
 
-`mcap`'s own writer makes Python objects of every message: 2.5 microseconds each, which a flood can't spare. Here a
-message is two byte strings in the open chunk; all other records are `mcap`'s.
+`mcap`'s own writer makes Python objects of every message: 2.5 microseconds each, too slow for a flood of messages. Here
+a message is two byte strings in the chunk that is being filled; all other records are `mcap`'s.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import contextlib
 import zlib
 from typing import TYPE_CHECKING
 
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -29,7 +28,8 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
-from abrace_bags.mcap.open_chunk import CHUNK_SIZE, OpenChunk
+from abrace_bags.mcap.chunk_writer import CHUNK_SIZE, ChunkWriter
+from abrace_bags.mcap.records import record_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -38,29 +38,29 @@ if TYPE_CHECKING:
     from abrace_bags.metadata import FileSpan
 
 CHUNKS_DESCRIBED = 100
-"""The second chunk, and each that comes so many later, tells again what the topics are: of a file that was cut off and
-whose first chunk is damaged, too, messages can be read."""
+"""Schemas and channels are repeated in the second chunk and in every such number of chunks after it: messages can then
+be read of a file that was cut off and whose first chunk is damaged."""
 
 
 class McapWriter:
-    """An MCAP file that is being written; what goes wrong with the file comes out as an OSError.
+    """An MCAP file that is being written; errors of the file system are raised as OSError.
 
     Parameters
     ----------
     path
-        The file, which is not there yet.
+        The file, which must not exist.
     compression, compress
         From `compressor`.
 
     Attributes
     ----------
     size
-        Bytes of the file so far, without the open chunk.
+        Bytes of the file so far, without the chunk that is being filled.
     """
 
     def __init__(self, path: Path, compression: str, compress: Callable[[bytes], bytes]) -> None:
         self._compression, self._compress = compression, compress
-        self._chunk = OpenChunk()
+        self._chunk = ChunkWriter()
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._chunks: list[ChunkIndex] = []
@@ -78,55 +78,29 @@ class McapWriter:
         return self._file.closed
 
     def add_schema(self, schema: Schema) -> None:
-        """Add a message type, before its topics.
-
-        Parameters
-        ----------
-        schema
-            The type.
-        """
+        """Add a `schema`, the description of a message type, before its channels."""
         self._schemas.append(schema)
         self._chunk.describe(schema)
 
     def add_channel(self, channel: Channel) -> None:
-        """Add a topic, before its messages.
-
-        Parameters
-        ----------
-        channel
-            The topic.
-        """
+        """Add a `channel`, the description of a topic, before its messages."""
         self._channels.append(channel)
         self._chunk.describe(channel)
 
-    def add_message(self, channel: int, count: int, payload: bytes, log_time: int, publish_time: int) -> None:
-        """Add a message, as in `OpenChunk.add`; a full chunk goes to the file."""
-        self._chunk.add(channel, count, payload, log_time, publish_time)
+    def add_message(self, channel: int, sequence: int, payload: bytes, log_time: int, publish_time: int) -> None:
+        """Add a message, as in `ChunkWriter.add`; a full chunk goes to the file."""
+        self._chunk.add(channel, sequence, payload, log_time, publish_time)
         if self._chunk.size > CHUNK_SIZE:
             self._end_chunk()
 
     def add_metadata(self, name: str, texts: Mapping[str, str]) -> None:
-        """Add texts by key.
-
-        Parameters
-        ----------
-        name
-            Of the record.
-        texts
-            What it says.
-        """
+        """Add a metadata record of this `name` with `texts` by key."""
         offset = self.size
         self._append_record(Metadata(name=name, metadata=dict(texts)))
         self._metadata.append(MetadataIndex(offset=offset, length=self.size - offset, name=name))
 
     def add_attachment(self, attachment: Attachment) -> None:
-        """Add a file's content.
-
-        Parameters
-        ----------
-        attachment
-            The file.
-        """
+        """Add an `attachment`: a file's name and content."""
         offset = self.size
         self._append_record(attachment)
         index = AttachmentIndex(
@@ -146,13 +120,7 @@ class McapWriter:
         self._file.flush()
 
     def finish(self, span: FileSpan) -> None:
-        """Write the index and close the file.
-
-        Parameters
-        ----------
-        span
-            What the file holds.
-        """
+        """Write the summary section and close the file; `span` is what the file holds."""
         self._end_chunk()
         self._append_record(DataEnd(self._checksum))
         start = self.size
@@ -175,21 +143,15 @@ class McapWriter:
             (Opcode.ATTACHMENT_INDEX, [*self._attachments]),
             (Opcode.METADATA_INDEX, [*self._metadata]),
         ]
-        builder = RecordBuilder()
+        summary = b""
         offsets = []
         for opcode, records in groups:
-            begin = builder.count
-            for record in records:
-                record.write(builder)
+            group = b"".join(map(record_bytes, records))
             if records:
-                offsets.append(
-                    SummaryOffset(group_opcode=opcode, group_start=start + begin, group_length=builder.count - begin)
-                )
-        offsets_start = start + builder.count
-        for offset in offsets:
-            offset.write(builder)
-        Footer(summary_offset_start=offsets_start, summary_start=start, summary_crc=0).write(builder)
-        summary = builder.end()[:-4]
+                offsets.append(SummaryOffset(opcode, start + len(summary), len(group)))
+            summary += group
+        footer = Footer(summary_start=start, summary_offset_start=start + len(summary), summary_crc=0)
+        summary += b"".join(map(record_bytes, (*offsets, footer)))[:-4]
         self._file.write(summary + zlib.crc32(summary).to_bytes(4, "little") + MCAP0_MAGIC)
         self._file.close()
 
@@ -202,7 +164,7 @@ class McapWriter:
         if not self._chunk.has_messages:
             return
         records, index = self._chunk.packed(self._compression, self._compress, self.size)
-        self._chunk = OpenChunk()
+        self._chunk = ChunkWriter()
         self._append(records)
         self._chunks.append(index)
         if len(self._chunks) % CHUNKS_DESCRIBED == 1:
@@ -210,9 +172,7 @@ class McapWriter:
                 self._chunk.describe(record)
 
     def _append_record(self, record: McapRecord) -> None:
-        builder = RecordBuilder()
-        record.write(builder)
-        self._append(builder.end())
+        self._append(record_bytes(record))
 
     def _append(self, content: bytes) -> None:
         self._checksum = zlib.crc32(content, self._checksum)

@@ -1,4 +1,4 @@
-"""The index at the end of an MCAP file: what its chunks hold, and how many messages of each channel there should be."""
+"""The summary section at the end of an MCAP file: channels, message counts, and where the chunks to read are."""
 
 from __future__ import annotations
 
@@ -7,149 +7,166 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO
 
 from mcap.opcode import Opcode
+from mcap.records import AttachmentIndex, Channel, ChunkIndex, Footer, MetadataIndex, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from abrace_bags.mcap.records import RECORD_HEAD, DamagedError, RecordFields, next_record
-from abrace_bags.mcap.stream import Channel
+from abrace_bags.mcap.records import RECORD_HEAD, DamagedError, next_record, parse
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
 _FOOTER_SIZE = RECORD_HEAD.size + 20
 
 
 @dataclass(frozen=True)
-class ChunkIndex:
-    """Where a chunk is and what it holds.
+class RecordedChannel:
+    """A channel with its schema.
 
     Parameters
     ----------
-    begin, end
-        Log times of its first and its last message [ns].
-    offset
-        Where its record begins.
-    size
-        Bytes of that record.
-    channels
-        Channels with messages in it; empty where that is not said.
+    topic
+        Its name.
+    message_encoding
+        How its messages are serialised: `cdr` in bags of ROS 2.
+    metadata
+        From rosbag2: `offered_qos_profiles` and `topic_type_hash`.
+    type_name, schema_encoding, definition
+        Of its message type; empty where the schema is unknown.
     """
 
-    begin: int
-    end: int
-    offset: int
-    size: int
-    channels: frozenset[int]
+    topic: str
+    message_encoding: str
+    metadata: Mapping[str, str]
+    type_name: str
+    schema_encoding: str
+    definition: str
 
 
 @dataclass
-class Descriptions:
-    """What schema and channel records say."""
+class ChannelTable:
+    """Channels and schemas by their ids."""
 
     schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
+    channels: dict[int, RecordedChannel] = field(default_factory=dict)
 
     def add(self, opcode: int, body: bytes) -> None:
-        """Take in one such record: its `opcode` and its `body`."""
-        fields = RecordFields(body)
-        number = fields.number(2)
+        """Add a schema or a channel: the `opcode` of its record and the `body`, which is the content."""
         if opcode == Opcode.SCHEMA:
-            name, encoding = fields.text(), fields.text()
-            schema = (name, encoding, fields.text())
-            fields.end()
-            self.schemas[number] = schema
+            schema = parse(Schema, body)
+            try:
+                self.schemas[schema.id] = schema.name, schema.encoding, schema.data.decode()
+            except UnicodeDecodeError as error:
+                raise DamagedError("holds text that is not UTF-8") from error
         else:
-            schema = self.schemas.get(fields.number(2), ("", "", ""))
-            topic, encoding = fields.text(), fields.text()
-            details = fields.texts()
-            fields.end()
-            self.channels[number] = Channel(topic, encoding, details, *schema)
+            channel = parse(Channel, body)
+            described = self.schemas.get(channel.schema_id, ("", "", ""))
+            self.channels[channel.id] = RecordedChannel(
+                channel.topic, channel.message_encoding, channel.metadata, *described
+            )
 
 
-@dataclass
-class Index:
-    """What an MCAP file's index says.
+@dataclass(frozen=True)
+class MessageFilter:
+    """Which messages to keep.
 
     Parameters
     ----------
-    descriptions
-        Of all channels.
-    counts
-        Messages by channel number; None where that is not said.
-    chunks
-        In the order in which they stand in the file.
-    beside
-        Offsets of the attachments and the metadata records.
-    begin
-        Where the index begins.
-    complete
-        Whether it names all that is in the file.
+    accepts
+        Whether to keep a channel's messages.
+    begin, end
+        Log times [ns], `begin` included, `end` not; None: from the first, to the last.
     """
 
-    begin: int
-    descriptions: Descriptions = field(default_factory=Descriptions)
-    counts: Mapping[int, int] | None = None
+    accepts: Callable[[RecordedChannel], bool]
+    begin: int | None = None
+    end: int | None = None
+
+    def may_match(self, chunk: ChunkIndex, channels: Mapping[int, RecordedChannel]) -> bool:
+        """Whether a chunk may hold such messages, by its index and the file's `channels`."""
+        if self.end is not None and chunk.message_start_time >= self.end:
+            return False
+        if self.begin is not None and chunk.message_end_time < self.begin:
+            return False
+        held = [channels.get(number) for number in chunk.message_index_offsets]
+        return not held or any(channel is None or self.accepts(channel) for channel in held)
+
+
+@dataclass
+class SummarySection:
+    """What the summary section holds.
+
+    Parameters
+    ----------
+    start
+        Offset of the section in the file.
+    table
+        All schemas and channels.
+    message_counts
+        By channel id; None where there are no statistics.
+    chunks
+        In the order of the file.
+    other_offsets
+        Where attachments and metadata records begin.
+    complete
+        Whether it has everything that the statistics count.
+    """
+
+    start: int
+    table: ChannelTable = field(default_factory=ChannelTable)
+    message_counts: Mapping[int, int] | None = None
     chunks: list[ChunkIndex] = field(default_factory=list)
-    beside: list[int] = field(default_factory=list)
+    other_offsets: list[int] = field(default_factory=list)
     complete: bool = False
 
 
-def read_index(file: BinaryIO, size: int) -> Index | None:
-    """The index of a file of this `size`; None where it has none, or one without a checksum.
+def read_summary(file: BinaryIO, size: int) -> SummarySection | None:
+    """The summary section of a file of `size` bytes; None where it has no checksum.
 
     Raises
     ------
     DamagedError
-        If it does not fit its checksum.
+        If it is missing or does not fit its checksum.
     """
-    footer = size - len(MCAP0_MAGIC) - _FOOTER_SIZE
-    if footer < len(MCAP0_MAGIC):
+    footer_offset = size - len(MCAP0_MAGIC) - _FOOTER_SIZE
+    if footer_offset < len(MCAP0_MAGIC):
         raise DamagedError("is missing")
-    file.seek(footer)
+    file.seek(footer_offset)
     opcode, body = next_record(file, size)
     if opcode != Opcode.FOOTER or file.read() != MCAP0_MAGIC:
-        raise DamagedError("does not end with MCAP's closing mark")
-    fields = RecordFields(body)
-    begin, _, checksum = fields.number(8), fields.number(8), fields.number(4)
-    if checksum == 0:
+        raise DamagedError("does not end with a footer and MCAP's magic")
+    footer = parse(Footer, body)
+    if footer.summary_crc == 0:
         return None
-    if begin > footer:
+    if footer.summary_start > footer_offset:
         raise DamagedError("does not fit the file")
-    begin = begin or footer
-    file.seek(begin)
-    if zlib.crc32(file.read(footer - begin + _FOOTER_SIZE - 4)) != checksum:
+    summary = SummarySection(footer.summary_start or footer_offset)
+    file.seek(summary.start)
+    if zlib.crc32(file.read(footer_offset - summary.start + _FOOTER_SIZE - 4)) != footer.summary_crc:
         raise DamagedError("does not fit its checksum")
-    file.seek(begin)
+    file.seek(summary.start)
     records = []
-    while file.tell() < footer:
+    while file.tell() < footer_offset:
         records.append(next_record(file, size))
-    index = Index(begin)
-    stated = None
-    for opcode, body in sorted(records, key=lambda record: record[0]):  # the schemas before the channels
-        if opcode == Opcode.STATISTICS:
-            stated, index.counts = _statistics(body)
-        else:
-            _add(index, opcode, body)
-    index.chunks.sort(key=lambda chunk: chunk.offset)
-    schemas, channels = index.descriptions.schemas, index.descriptions.channels
-    index.complete = stated == (len(schemas), len(channels), len(index.beside), len(index.chunks))
-    return index
-
-
-def _statistics(body: bytes) -> tuple[tuple[int, int, int, int], dict[int, int]]:
-    """How many schemas, channels, attachments and metadata records, and chunks there are; messages by channel."""
-    fields = RecordFields(body)
-    fields.take(8)
-    schemas, channels, attachments, metadata, chunks = (fields.number(size) for size in (2, 4, 4, 4, 4))
-    fields.take(16)
-    return (schemas, channels, attachments + metadata, chunks), fields.numbers(2)
-
-
-def _add(index: Index, opcode: int, body: bytes) -> None:
-    fields = RecordFields(body)
-    if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-        index.descriptions.add(opcode, body)
-    elif opcode == Opcode.CHUNK_INDEX:
-        begin, end, offset, size = (fields.number(8) for _ in range(4))
-        index.chunks.append(ChunkIndex(begin, end, offset, size, frozenset(fields.numbers(2))))
-    elif opcode in (Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX):
-        index.beside.append(fields.number(8))
+    statistics = None
+    for opcode, body in sorted(records, key=lambda record: record[0]):  # schemas before channels
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            summary.table.add(opcode, body)
+        elif opcode == Opcode.CHUNK_INDEX:
+            summary.chunks.append(parse(ChunkIndex, body))
+        elif opcode == Opcode.ATTACHMENT_INDEX:
+            summary.other_offsets.append(parse(AttachmentIndex, body).offset)
+        elif opcode == Opcode.METADATA_INDEX:
+            summary.other_offsets.append(parse(MetadataIndex, body).offset)
+        elif opcode == Opcode.STATISTICS:
+            statistics = parse(Statistics, body)
+    summary.chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
+    if statistics is not None:
+        summary.message_counts = statistics.channel_message_counts
+        counted = statistics.attachment_count + statistics.metadata_count
+        summary.complete = (
+            len(summary.table.schemas) == statistics.schema_count
+            and len(summary.table.channels) == statistics.channel_count
+            and len(summary.other_offsets) == counted
+            and len(summary.chunks) == statistics.chunk_count
+        )
+    return summary

@@ -1,4 +1,4 @@
-"""The records of an MCAP file, one after the other, and the one among them that holds the run's facts."""
+"""Records of an MCAP file, read from bytes that may be damaged, and the metadata record that holds the run's facts."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import operator
 import os
 import struct
 import zlib
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, TypeVar
 
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from abrace_core.errors import AbraceError
@@ -23,88 +25,92 @@ FACTS_RECORD = "abrace"
 """Name of the metadata record that holds the run's facts."""
 
 CHECKSUM_KEY = "checksum"
-"""Key in that record, which MCAP itself doesn't protect in a file that was cut off."""
+"""Key of the facts' CRC-32 in that record, which MCAP itself doesn't protect in a file that was cut off."""
 
 RECORD_HEAD = struct.Struct("<BQ")
-"""Before every record: what it is, and its length."""
+"""Before the content of every record: its opcode and the content's length."""
 
+_EXACT = (Attachment, Channel, Chunk, Header, Metadata, Schema)
+"""Records of the data section end with their last known field. Those of the summary section, which has a checksum, may
+have further fields of a later version of MCAP."""
+_WITH_TEXTS = (Channel, Metadata)
+_U64 = struct.Struct("<Q")
 
-def facts_checksum(facts: Mapping[str, str]) -> str:
-    """CRC-32 of a run's facts as JSON with sorted keys: kept beside them."""
-    return f"{zlib.crc32(json.dumps(dict(facts), sort_keys=True).encode()):08x}"
+Record = TypeVar("Record", bound=McapRecord)
 
 
 class DamagedError(Exception):
-    """What is wrong with a record."""
+    """What is wrong with a record or a section, as a predicate: `does not fit its checksum`."""
 
 
-class RecordFields:
-    """Reads the fields of a record one after the other."""
+class _Fields(ReadDataStream):
+    """The fields of one record for the `read` of its class in `mcap.records`: none goes beyond the record's end."""
 
-    def __init__(self, body: bytes) -> None:
-        self.body = body
-        self.offset = 0
+    def __init__(self, body: bytes, exact: bool) -> None:
+        self._body, self._exact, self._count = body, exact, 0
 
-    def number(self, size: int) -> int:
-        """An unsigned number of `size` bytes."""
-        return int.from_bytes(self.take(size), "little")
-
-    def text(self) -> str:
-        """A string with its length before it."""
-        try:
-            return self.take(self.number(4)).decode()
-        except UnicodeDecodeError as error:
-            raise DamagedError("holds text that is not UTF-8") from error
-
-    def texts(self) -> dict[str, str]:
-        """Strings by name."""
-        end = self.number(4) + self.offset
-        found = {}
-        while self.offset < end:
-            key = self.text()
-            found[key] = self.text()
-        if self.offset != end:
+    def read(self, length: int) -> bytes:
+        begin = self._count
+        self._count += length
+        if self._exact and self._count > len(self._body):
             raise DamagedError("has lengths that don't fit")
-        return found
+        return self._body[begin : self._count]
 
-    def numbers(self, key_size: int) -> dict[int, int]:
-        """Numbers of 8 bytes by numbers of `key_size` bytes."""
-        end = self.number(4) + self.offset
-        found = {}
-        while self.offset < end:
-            key = self.number(key_size)
-            found[key] = self.number(8)
-        if self.offset != end:
+    def read8(self) -> int:  # most fields of chunk indexes, of which a file has thousands
+        (number,) = _U64.unpack_from(self._body, self._count)
+        self._count += 8
+        return int(number)
+
+
+def parse(kind: type[Record], body: bytes, exact: bool = True) -> Record:
+    """A record from its content.
+
+    Parameters
+    ----------
+    kind
+        Its class in `mcap.records`.
+    body
+        The content: what follows opcode and length.
+    exact
+        Whether its lengths must fit `body`. If not, bytes after the last field are ignored, and a text or packed data
+        that would go beyond the end is cut off there.
+
+    Raises
+    ------
+    DamagedError
+        If its lengths do not fit, or a text is not UTF-8.
+    """
+    fields = _Fields(body, exact)
+    try:
+        record: Record = kind.read(fields)  # type: ignore[attr-defined]
+    except struct.error as error:
+        raise DamagedError("has lengths that don't fit") from error
+    except UnicodeDecodeError as error:
+        raise DamagedError("holds text that is not UTF-8") from error
+    if exact and kind in _EXACT:
+        # mcap reads texts by key until their length is reached, or passed
+        fits = record_bytes(record)[RECORD_HEAD.size :] == body if kind in _WITH_TEXTS else fields.count == len(body)
+        if not fits:
             raise DamagedError("has lengths that don't fit")
-        return found
-
-    def take(self, size: int) -> bytes:
-        """The next `size` bytes."""
-        self.offset += size
-        if self.offset > len(self.body):
-            raise DamagedError("has lengths that don't fit")
-        return self.body[self.offset - size : self.offset]
-
-    def end(self) -> None:
-        """Nothing may follow."""
-        if self.offset != len(self.body):
-            raise DamagedError("has lengths that don't fit")
+    return record
 
 
-def _is_nearly_mark(mark: bytes) -> bool:
-    """Whether the first bytes of a file are MCAP's opening mark, one of them damaged or none."""
-    return len(mark) == len(MCAP0_MAGIC) and sum(map(operator.ne, mark, MCAP0_MAGIC)) <= 1
+def record_bytes(record: McapRecord) -> bytes:
+    """A record as it stands in a file, opcode and length first."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
 
 
 @contextlib.contextmanager
 def open_mcap(path: Path) -> Iterator[BinaryIO]:
-    """The file, behind MCAP's opening mark."""
+    """The file, positioned after MCAP's magic, of which one byte may be damaged."""
     try:
         with path.open("rb") as file:
-            mark = file.read(len(MCAP0_MAGIC))
-            if not mark:
+            magic = file.read(len(MCAP0_MAGIC))
+            if not magic:
                 raise AbraceError(f"{path}: the file is empty, expected an MCAP file")
-            if not _is_nearly_mark(mark):
+            if len(magic) < len(MCAP0_MAGIC) or sum(map(operator.ne, magic, MCAP0_MAGIC)) > 1:
                 raise AbraceError(f"{path}: not an MCAP file")
             yield file
     except OSError as error:
@@ -112,18 +118,18 @@ def open_mcap(path: Path) -> Iterator[BinaryIO]:
 
 
 def next_record(file: BinaryIO, size: int) -> tuple[int, bytes]:
-    """Opcode and body of the next record of a file of this size."""
+    """Opcode and content of the next record of a file of `size` bytes."""
     head = file.read(RECORD_HEAD.size)
     if len(head) < RECORD_HEAD.size:
-        raise DamagedError("is not a whole record")
+        raise DamagedError("is not whole")
     opcode, length = RECORD_HEAD.unpack(head)
     if length > size - file.tell():
-        raise DamagedError("is not a whole record")
+        raise DamagedError("is not whole")
     return opcode, file.read(length)
 
 
 def read_facts_record(path: Path) -> dict[str, str] | None:
-    """The run's facts in one file, without reading further than to them; None where it has none.
+    """The run's facts in one file, read no further than to them; None where it has none.
 
     Raises
     ------
@@ -136,20 +142,26 @@ def read_facts_record(path: Path) -> dict[str, str] | None:
         while opcode != Opcode.DATA_END:
             opcode, body = next_record(file, size)
             if opcode == Opcode.METADATA:
-                fields = RecordFields(body)
-                if fields.text() == FACTS_RECORD:
-                    return checked_facts(path, fields.texts())
+                record = parse(Metadata, body, exact=False)  # the facts have a checksum of their own
+                if record.name == FACTS_RECORD:
+                    return checked_facts(path, record.metadata)
     return None
 
 
-def checked_facts(path: Path, texts: dict[str, str]) -> dict[str, str]:
-    """The facts of that record, without their checksum.
+def facts_checksum(facts: Mapping[str, str]) -> str:
+    """CRC-32 of a run's facts as JSON with sorted keys, in hexadecimal."""
+    return f"{zlib.crc32(json.dumps(dict(facts), sort_keys=True).encode()):08x}"
+
+
+def checked_facts(path: Path, texts: Mapping[str, str]) -> dict[str, str]:
+    """The facts in the `texts` of their record, without the checksum.
 
     Raises
     ------
     AbraceError
         If they do not fit it.
     """
-    if texts.pop(CHECKSUM_KEY, None) != facts_checksum(texts):
+    facts = {key: text for key, text in texts.items() if key != CHECKSUM_KEY}
+    if texts.get(CHECKSUM_KEY) != facts_checksum(facts):
         raise AbraceError(f"{path}: the run's facts do not fit their checksum, the file is damaged")
-    return texts
+    return facts

@@ -1,0 +1,25 @@
+"""Where the chunks of an MCAP file are, as `mcap` reads them from its summary section."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mcap.reader import make_reader
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mcap.records import ChunkIndex
+
+
+def chunk_indexes(path: Path) -> list[ChunkIndex]:
+    """The chunk indexes of a file, in its order."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return list(summary.chunk_indexes)
+
+
+def chunk_offsets(path: Path) -> list[int]:
+    """Where the chunks of a file begin."""
+    return [index.chunk_start_offset for index in chunk_indexes(path)]
