@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
-from abrace_core.simulation import discretize
 from abrace_sysid.spectra.frequency_response import (
     Choice,
     frequency_responses,
@@ -17,7 +17,7 @@ BAND, WIDE = (0.3, 10.0), (0.3, 30.0)
 
 
 def test_local_polynomials_leave_little_of_the_leakage_that_welch_has(table_test, rig):
-    true = discretize(rig.model, 0.002, {"w": "first"})
+    true = discretize(rig.model, 0.002)
 
     def error(estimate):
         expected = true.frequency_response(estimate.omega)[:, :, 0]
@@ -86,7 +86,7 @@ def test_what_cannot_be_estimated_is_refused_with_the_reason(plain_run):
 
 def errors(estimate, rig):
     """Relative rms error of each channel, and rms of the errors over their standard deviations."""
-    true = discretize(rig.model, 0.002, {"w": "first"})
+    true = discretize(rig.model, 0.002)
     expected = true.frequency_response(estimate.omega)[:, :, 0 if estimate.input == "w" else 1]
     error = np.abs(estimate.response - expected)
     relative = np.linalg.norm(error, axis=0) / np.linalg.norm(expected, axis=0)

@@ -6,17 +6,16 @@ import pytest
 from identification_accuracy import Trial, coverage, true_pairs, worst_errors, worst_of
 from n4sid import n4sid_poles
 
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
 from abrace_core.noise import banded_noise
-from abrace_core.simulation import discretize
 from abrace_plant.rig.actuator import Actuator
 from abrace_plant.rig.building import Building, modal_damping
 from abrace_plant.rig.model import BraceGroup
 from abrace_plant.rig.sensors import SensorSet
 from abrace_sysid.fitting.pole_estimate import PoleInterval
 from abrace_sysid.identification import IdentificationOptions, identify
-from abrace_sysid.models.realization import HOLDS
 from abrace_sysid.spectra.frequency_response import Choice
 from abrace_sysid.validation import compare
 
@@ -107,7 +106,7 @@ def test_welch_gives_a_worse_transfer_function_and_the_same_poles(table_test, co
     options = IdentificationOptions(transfer_function=Choice(method="welch"))
     welch = identify(table_test, command_test, options)
     expect_poles_within(welch, rig, (0.0003, 0.01), (0.001, 0.035))
-    true = discretize(rig.model, 0.002, HOLDS)
+    true = discretize(rig.model, 0.002)
 
     def error(response):
         exact = true.frequency_response(response.omega)[:, :, 1]

@@ -3,15 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
 from abrace_core.noise import banded_noise
-from abrace_core.simulation import discretize
 from abrace_sysid.fitting import observation
 from abrace_sysid.fitting.maximum_likelihood import fit_poles
 from abrace_sysid.fitting.order_selection import best_order, try_orders
 from abrace_sysid.fitting.vector_fitting import starting_poles
-from abrace_sysid.models.realization import HOLDS, modal_states
+from abrace_sysid.models.realization import modal_states
 from abrace_sysid.spectra import fourier as spectra
 from abrace_sysid.spectra.frequency_response import FrequencyResponse, local_polynomial
 
@@ -107,7 +107,7 @@ def test_numerators_are_rows_for_modal_states(command_lines, rough, rig):
     states = modal_states(both, "U", 0.0)
     model = replace(states, c=numerators.c[0], d=numerators.d[0][:, None], outputs=numerators.outputs)
     omega = np.linspace(3, 180, 300)
-    found = discretize(model, 0.002, HOLDS).frequency_response(omega)[:, :, 0]
+    found = discretize(model, 0.002).frequency_response(omega)[:, :, 0]
     truth = rig.discrete_model()
     expected = truth.select(numerators.outputs, ["U"]).frequency_response(omega)[:, :, 0]
     size = np.sqrt(np.mean(np.abs(expected) ** 2, axis=0))

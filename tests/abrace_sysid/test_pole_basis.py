@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from abrace_core.simulation import discretize
+from abrace_core.discretization import discretize
 from abrace_sysid.fitting.pole_basis import Sampling
-from abrace_sysid.models.realization import HOLDS, modal_states
+from abrace_sysid.models.realization import modal_states
 
 PERIOD = 0.002
 OMEGA = np.linspace(2, 190, 200)
@@ -23,7 +23,7 @@ Z = np.exp(1j * OMEGA * PERIOD)
 def test_a_poles_response_is_that_of_the_discretised_model(name, sampling):
     pair, real = -0.1 + 7.36j, -6.4
     states = modal_states(np.array([pair, np.conj(pair), real]), name, sampling.delay)
-    expected = discretize(states, PERIOD, HOLDS).frequency_response(OMEGA)[:, :, 0]
+    expected = discretize(states, PERIOD).frequency_response(OMEGA)[:, :, 0]
     above, below = (sampling.response(pole, Z)[0] for pole in (pair, pair.conjugate()))
     single = sampling.response(real, Z)[0]
     found = np.column_stack([(above + below) / 2, 0.5j * (above - below), single, sampling.direct(Z)])

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
-from abrace_core.simulation import discretize
 from abrace_sysid.spectra.transfer_function import FrequencyResponse, fitted_delay, hold_and_delay
 
 PERIOD = 0.002
@@ -15,7 +15,7 @@ def exact(omega, response, sigma=1e-3):
 @pytest.mark.parametrize(("hold", "column"), [("first", 0), ("zero", 1)])
 def test_a_hold_taken_out_of_the_sampled_response_leaves_the_continuous_one(rig, hold, column):
     omega = 2 * np.pi * np.linspace(0.5, 10, 200)
-    sampled = discretize(rig.model, PERIOD, {"w": "first"})
+    sampled = discretize(rig.model, PERIOD)
     third = list(rig.model.outputs).index("x3")
     measured = exact(omega, sampled.frequency_response(omega)[:, third, column])
     continuous = rig.model.frequency_response(omega)[:, third, column]
@@ -52,7 +52,7 @@ def test_a_delay_is_found_from_the_phase_with_its_standard_deviation():
 def test_the_force_of_the_rig_s_servo_has_the_delay_of_a_held_first_order_lag(rig):
     omega = 2 * np.pi * np.linspace(10, 30, 2000)
     force = list(rig.model.outputs).index("f")
-    sampled = discretize(rig.model, PERIOD, {}).frequency_response(omega)[:, force, 1]
+    sampled = discretize(rig.model, PERIOD).frequency_response(omega)[:, force, 1]
     delay, _ = fitted_delay(exact(omega, sampled), "f", (10, 30))
     # z-transform of a held lag of 0.8 ms: (1 - p) / (z - p), whose phase falls by T / (1 - p) at low frequency
     assert delay == pytest.approx(PERIOD / (1 - np.exp(-PERIOD / 0.0008)), rel=0.01)

@@ -18,14 +18,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.compiled import compiled
-from abrace_core.discretization import Hold, discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-__all__ = ["Hold", "discretize", "simulate", "simulate_closed_loop"]
 
 BLOCK = 16
 """Samples a block. Longer ones mean fewer steps and larger matrices; 16 and 32 take the least time at 25 states."""

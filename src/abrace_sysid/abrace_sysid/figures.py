@@ -13,12 +13,11 @@ from matplotlib.patches import Ellipse
 from scipy.ndimage import uniform_filter1d
 
 from abrace_core import signals
+from abrace_core.discretization import discretize
 from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
 from abrace_core.response import paper_unit
-from abrace_core.simulation import discretize
-from abrace_sysid.models.realization import HOLDS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -296,7 +295,7 @@ def _history(axis: Axes, comparison: Comparison, j: int, factor: float) -> None:
 
 def _sampled(model: LinearModel, measured: FrequencyResponse, channels: Sequence[str]) -> NDArray[np.complex128]:
     """(lines, channels) the response of a continuous model as the measured one was taken."""
-    sampled = discretize(model.select(channels, [measured.input]), measured.sample_period, HOLDS)
+    sampled = discretize(model.select(channels, [measured.input]), measured.sample_period)
     return sampled.frequency_response(measured.omega)[:, :, 0]
 
 

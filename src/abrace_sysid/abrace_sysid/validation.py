@@ -17,10 +17,10 @@ import numpy as np
 from scipy import fft
 
 from abrace_core import signals
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.response import PeakRms, peak_rms_of
-from abrace_core.simulation import discretize, simulate, simulate_closed_loop
-from abrace_sysid.models.realization import HOLDS
+from abrace_core.simulation import simulate, simulate_closed_loop
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -146,7 +146,7 @@ def compare(
         raise AbraceError(f"{run.source}: expected two or more consecutive samples without a gap")
     if len(capacity) != run.groups:
         raise AbraceError(f"{run.source}: {len(capacity)} capacities, expected one for each of {run.groups} commands")
-    sampled = discretize(model.select(run.names, wanted), run.sample_period, HOLDS)
+    sampled = discretize(model.select(run.names, wanted), run.sample_period)
     if controller is None:
         command = np.clip(run.command_from_here, -capacity, capacity)
         simulated = simulate(sampled, np.column_stack([run.ground_acceleration, command]))

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from abrace_core.discretization import HOLDS
 from abrace_core.errors import AbraceError
 from abrace_sysid.fitting.pole_basis import Sampling
-from abrace_sysid.models.realization import HOLDS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

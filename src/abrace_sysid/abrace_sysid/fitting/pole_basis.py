@@ -20,7 +20,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from abrace_core.simulation import Hold
+    from abrace_core.discretization import Hold
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg
 
-from abrace_core import signals
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_core.simulation import Hold, discretize
 from abrace_sysid.fitting.curve_fit import least_squares
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
@@ -28,9 +27,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
-
-HOLDS: dict[str, Hold] = {signals.GROUND: "first"}
-"""The ground acceleration is linear between samples; commands are held."""
 
 
 def modal_states(poles: NDArray[np.complex128], input_name: str, delay: float) -> LinearModel:
@@ -106,7 +102,7 @@ def sampled_states(states: LinearModel, measured: FrequencyResponse) -> NDArray[
     measured
         Whose lines, sample period and input are meant.
     """
-    return discretize(states, measured.sample_period, HOLDS).frequency_response(measured.omega)[:, :, 0]
+    return discretize(states, measured.sample_period).frequency_response(measured.omega)[:, :, 0]
 
 
 def unexplained(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.float64]:
@@ -119,7 +115,7 @@ def unexplained(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.f
     measured
         Hold and delays included.
     """
-    own = discretize(model.select(measured.outputs, [measured.input]), measured.sample_period, HOLDS)
+    own = discretize(model.select(measured.outputs, [measured.input]), measured.sample_period)
     left_over = own.frequency_response(measured.omega)[:, :, 0] - measured.response
     return np.asarray(
         np.sqrt(np.mean(np.abs(left_over) ** 2, axis=0) / np.mean(np.abs(measured.response) ** 2, axis=0))

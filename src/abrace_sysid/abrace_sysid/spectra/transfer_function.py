@@ -7,7 +7,7 @@ The curves of Figs. 3 to 5. What is measured is the response of the *sampled* ri
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-Hold = Literal["zero", "first"]
+    from abrace_core.discretization import Hold
 
 
 @dataclass(frozen=True)
