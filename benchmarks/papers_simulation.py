@@ -45,9 +45,11 @@ from abrace_plant.records.treatment import Treatment, prepare
 from abrace_plant.rig import published
 from abrace_plant.rig.building import Building
 from abrace_plant.rig.file import load_rig
-from abrace_sysid.identification import IdentificationOptions, identify
+from abrace_sysid.fitting.options import IdentificationOptions
+from abrace_sysid.identification import identify
 from abrace_sysid.models.realization import realize, superpose
-from abrace_sysid.spectra.frequency_response import Choice, FrequencyResponse
+from abrace_sysid.spectra.estimation import TransferFunctionOptions
+from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,7 +57,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_plant.rig.model import Rig
-    from abrace_sysid.spectra.frequency_response import Method
+    from abrace_sysid.spectra.estimation import Method
 
 Pairs = tuple[tuple[float, float], ...]
 """Frequency [rad/s] and damping ratio of the building's modes."""
@@ -271,7 +273,7 @@ def causes(test: Test) -> dict[str, float]:
 
 def estimated(test: Test, table: Rig, command: Rig, method: Method) -> list[float]:
     """Distances of the superposed models of SEEDS pairs of simulated tests of 300 s, a rig for each test."""
-    options = IdentificationOptions(fit="sk", transfer_function=Choice(method=method))
+    options = IdentificationOptions(fit="sk", transfer_function=TransferFunctionOptions(method=method))
     errors = []
     for seed in range(SEEDS):
         noise = Laboratory(table, seed).table_test(300), Laboratory(command, seed).command_test(300)

@@ -13,9 +13,11 @@ from abrace_lqg.weights import load_weights
 from abrace_plant.records.files import read_record
 from abrace_plant.records.treatment import Treatment, prepare
 from abrace_plant.rig.sensors import Measurement
-from abrace_sysid.models.consistent import consistent_model, realize_together, slow_real_pole
+from abrace_sysid.fitting.slow_pole import slow_real_pole
+from abrace_sysid.models.consistent import consistent_model, realize_together
 from abrace_sysid.models.reduction import balanced_truncation, typical_scales
-from abrace_sysid.spectra.frequency_response import FrequencyResponse, local_polynomial
+from abrace_sysid.spectra.estimation import TransferFunctionOptions, frequency_responses
+from abrace_sysid.spectra.frequency_response import FrequencyResponse
 from abrace_sysid.validation import compare
 
 BAND = (0.3, 30.0)
@@ -123,9 +125,10 @@ def controlled(laboratory, controller, ground, seed):
 @pytest.fixture(scope="module")
 def responses(rig):
     laboratory = Laboratory(rig, seed=5)
+    options = TransferFunctionOptions("local_polynomial")
     return (
-        local_polynomial(laboratory.table_test(300), "w", (0.3, 10.0)),
-        local_polynomial(laboratory.command_test(300), "U", BAND),
+        *frequency_responses(laboratory.table_test(300), ["w"], (0.3, 10.0), options),
+        *frequency_responses(laboratory.command_test(300), ["U"], BAND, options),
     )
 
 

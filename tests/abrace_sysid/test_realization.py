@@ -6,7 +6,8 @@ import pytest
 from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_sysid.models.realization import modal_states, realize, superpose
+from abrace_sysid.fitting.modal_states import modal_states
+from abrace_sysid.models.realization import realize, superpose
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 POLES = np.array([-0.11 + 7.3j, -0.11 - 7.3j, -0.5 + 23j, -0.5 - 23j, -40 + 0j])

@@ -1,7 +1,7 @@
-"""Recorded tests before identification: checked, the whole piece of a broken one found, trends removed.
+"""Recorded tests before identification: checked, cut to the longest piece without a gap, trends removed.
 
-What makes a test useless is an error that says what was found and what was expected; what costs a channel or a piece of
-the record is said in words and the rest is used.
+What makes a test useless is an error, with what was found and what was expected; what costs a channel or a piece of the
+record is a warning, and the rest is used.
 """
 
 from __future__ import annotations
@@ -73,7 +73,6 @@ def prepare(
     inputs: Sequence[str],
     band: tuple[float, float],
     period: int | None = None,
-    least_seconds: float = LEAST_SECONDS,
 ) -> Recording:
     """Check a test and make it ready: the longest whole piece, trends removed.
 
@@ -88,8 +87,6 @@ def prepare(
     period
         Samples in a period of a periodic excitation. Of noise a straight line is removed; of a periodic response the
         mean alone, since a line fitted to it would follow the periods.
-    least_seconds
-        How long a whole piece must be.
 
     Raises
     ------
@@ -97,7 +94,7 @@ def prepare(
         If there is no whole piece long enough, a value is not finite, an input is not excited throughout the band or
         clipped, or no channel is a response.
     """
-    whole, warnings = longest_piece(run, least_seconds)
+    whole, warnings = longest_piece(run)
     for name in dict.fromkeys((*whole.names, signals.GROUND, *whole.command_names)):
         values = whole.channels([name])[:, 0]
         bad = np.flatnonzero(~np.isfinite(values))
@@ -130,29 +127,27 @@ def prepare(
     return Recording(_without_trend(whole, "linear" if period is None else "constant"), left_out, warnings)
 
 
-def longest_piece(run: Run, least_seconds: float = LEAST_SECONDS) -> tuple[Run, tuple[str, ...]]:
+def longest_piece(run: Run) -> tuple[Run, tuple[str, ...]]:
     """The longest piece of a test with consecutive sample numbers, and a warning if that is not all of it.
 
     Parameters
     ----------
     run
         The test.
-    least_seconds
-        How long the piece must be.
 
     Raises
     ------
     AbraceError
-        If it is shorter.
+        If it is shorter than LEAST_SECONDS.
     """
     step = np.diff(run.sequence.astype(np.int64))
     gaps = np.flatnonzero(step != 1)
     edges = np.concatenate([[0], gaps + 1, [len(run.sequence)]])
     longest = int(np.argmax(np.diff(edges)))
     first, last = int(edges[longest]), int(edges[longest + 1])
-    seconds, expected = (last - first) * run.sample_period, f"expected at least {least_seconds:g} s"
+    seconds, expected = (last - first) * run.sample_period, f"expected at least {LEAST_SECONDS:g} s"
     if not len(gaps):
-        if seconds < least_seconds:
+        if seconds < LEAST_SECONDS:
             raise AbraceError(f"{run.source}: {seconds:g} s, {expected}")
         return run, ()
     after, missing = run.sequence[gaps[0]], int(step[gaps[0]]) - 1
@@ -161,7 +156,7 @@ def longest_piece(run: Run, least_seconds: float = LEAST_SECONDS) -> tuple[Run, 
         found += f" ({missing} samples, {missing * run.sample_period:g} s)"
     if len(gaps) > 1:
         found += f" and {len(gaps) - 1} more"
-    if seconds < least_seconds:
+    if seconds < LEAST_SECONDS:
         raise AbraceError(f"{run.source}: {found}; the longest whole piece has {seconds:g} s, {expected}")
     piece = replace(
         run,

@@ -15,7 +15,7 @@ from abrace_core.files import write_text
 from abrace_core.linear_model import load_model
 from abrace_core.node import AbraceNode, Parameter, run
 from abrace_core.response import PeakRms, in_paper_units, peak_rms
-from abrace_sysid import figures
+from abrace_sysid.figures import validation as figures
 from abrace_sysid.validation import Comparison, compare
 
 PARAMETERS = [

@@ -33,28 +33,6 @@ DEPENDENT = 1e-6
 """An input of which no greater share is its own repeats another."""
 
 
-@dataclass(frozen=True)
-class LocalFit:
-    """Local estimates at every line.
-
-    Parameters
-    ----------
-    response
-        (lines, channels, inputs) complex.
-    sigma
-        (lines, channels, inputs): its standard deviation.
-    noise
-        (lines, channels): power of the noise, from what was left over about the line.
-    half_width
-        Lines on either side in a window.
-    """
-
-    response: NDArray[np.complex128]
-    sigma: NDArray[np.float64]
-    noise: NDArray[np.float64]
-    half_width: int
-
-
 def least_half_width(order: int, inputs: int = 1, records: int = 1) -> int:
     """The narrowest window, in lines on either side, that leaves residuals to judge the noise by.
 
@@ -75,7 +53,7 @@ def fit_locally(
     order: int,
     half_width: int,
     poles: Literal[0, 1] = 1,
-) -> LocalFit:
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
     """Fit the response and the transients about every line.
 
     Parameters
@@ -90,6 +68,11 @@ def fit_locally(
         Lines on either side; at the ends of the band the windows are shifted inwards.
     poles
         0: polynomials; 1: rational, with a pole that the channels share.
+
+    Returns
+    -------
+    response, sigma
+        (lines, channels, inputs) estimates and their standard deviations.
 
     Raises
     ------
@@ -115,21 +98,18 @@ def fit_locally(
         weight = np.divide(1.0, variance, out=weight, where=variance > 0)
     response = np.empty((lines, channels, inputs), dtype=np.complex128)
     sigma = np.empty((lines, channels, inputs))
-    noise = np.empty((windows, channels))
     for start in range(0, windows, WINDOWS_AT_ONCE):
         stop = min(start + WINDOWS_AT_ONCE, windows)
         solved = grid.solve(np.arange(start, stop), weight)
-        noise[start:stop] = solved.noise()
         # a window's own line is its middle one; the first and the last window also serve the ends of the band
         own = np.arange(start + half_width if start else 0, stop + half_width if stop < windows else lines)
         serving = np.clip(own - half_width, 0, windows - 1)
         response[own], sigma[own] = solved.at(serving - start, own - serving)
-    about = np.clip(np.arange(lines) - half_width, 0, windows - 1)
-    return LocalFit(response, sigma, noise[about], half_width)
+    return response, sigma
 
 
 class _Grid:
-    """All windows of a band: what does not depend on where the window is."""
+    """All windows of a band, and the polynomials that they share."""
 
     def __init__(
         self, excitation: NDArray[np.complex128], outputs: NDArray[np.complex128], order: int, half_width: int
@@ -145,9 +125,6 @@ class _Grid:
         self.excitation = _sliding(excitation, window)
         self.outputs = _sliding(outputs, window)
         self.records, self.inputs, self.channels = len(excitation), excitation.shape[2], outputs.shape[2]
-        # the share of each line in what is left over, to first order
-        share = np.sum(self.complement**2, axis=0) / len(self.complement)
-        self.mean_square_offset = float(share @ self.offset**2)
 
     def solve(self, starts: NDArray[np.int64], weight: NDArray[np.float64]) -> _Solved:
         """Least squares in the windows with these first lines; no pole where the channels have no weight."""
@@ -180,16 +157,16 @@ class _Grid:
         measured -= projected @ directions.swapaxes(1, 2)
         freedom = self.records * rows - unknowns - pole_sought / self.channels
         pole, pole_variance = np.zeros(count, dtype=np.complex128), np.zeros(count)
-        still = measured[:, : self.channels]
+        left_over = measured[:, : self.channels]
         if pole_sought:
             by_pole = measured[:, self.channels :]
             curvature = np.sum(_square(by_pole), axis=2) @ weight
-            slope = np.einsum("wcr,wcr->wc", by_pole.conj(), still) @ weight
+            slope = np.einsum("wcr,wcr->wc", by_pole.conj(), left_over) @ weight
             inverse = np.divide(1.0, curvature, out=np.zeros_like(curvature), where=curvature > 0)
             pole = -slope * inverse
-            still = still + pole[:, None, None] * by_pole
-            pole_variance = inverse * (np.sum(_square(still), axis=2) @ weight) / (freedom * self.channels)
-        return _Solved(self, triangle, projected, still, pole, pole_variance, freedom)
+            left_over = left_over + pole[:, None, None] * by_pole
+            pole_variance = inverse * (np.sum(_square(left_over), axis=2) @ weight) / (freedom * self.channels)
+        return _Solved(self, triangle, projected, left_over, pole, pole_variance, freedom)
 
 
 @dataclass(frozen=True)
@@ -209,26 +186,21 @@ class _Solved:
         """(windows, channels) of A V."""
         return np.asarray(np.sum(_square(self.left_over), axis=2) / self.freedom)
 
-    def noise(self) -> NDArray[np.float64]:
-        """(windows, channels) power of V: A V is left over, and the mean of |A|^2 is known."""
-        amplified = 1 + _square(self.pole) * self.grid.mean_square_offset
-        return np.asarray(self.variance / amplified[:, None])
-
     def at(
-        self, which: NDArray[np.int64], place: NDArray[np.int64]
+        self, which: NDArray[np.int64], position: NDArray[np.int64]
     ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        """Response and standard deviation (lines, channels, inputs) at these places of these windows.
+        """Response and standard deviation (lines, channels, inputs), each at a position within a window.
 
         Without a pole, the response is p.T R^-1 Q^H y with p the polynomials' values there.
         """
         grid, channels = self.grid, self.grid.channels
         polynomials, unknowns = grid.powers.shape[1], len(self.triangle)
-        offset, pole = grid.offset[place][:, None], self.pole[which][:, None]
+        offset, pole = grid.offset[position][:, None], self.pole[which][:, None]
         response = np.empty((len(which), channels, grid.inputs), dtype=np.complex128)
         sigma = np.empty((len(which), channels, grid.inputs))
         for i in range(grid.inputs):
             values = np.zeros((unknowns, len(which)), dtype=np.complex128)
-            values[i * polynomials : (i + 1) * polynomials] = grid.powers[place].T
+            values[i * polynomials : (i + 1) * polynomials] = grid.powers[position].T
             row = np.empty_like(values)
             for j in range(unknowns):
                 row[j] = values[j] / self.triangle[j, j, which]
