@@ -1,6 +1,6 @@
 """The exact discrete equivalent of a continuous model: holds and input delays.
 
-The command is held between samples (zero-order hold); the ground acceleration is taken to be linear between samples
+The command is held between samples (zero-order hold); the ground acceleration is assumed linear between samples
 (first-order hold), which needs no half-sample shift when a recorded motion is compared with its response.
 """
 

@@ -60,7 +60,7 @@ class Identification:
     reduction
         Eq. (9): the reduced model and the Hankel singular values of `whole`.
     warnings
-        What a reader should know of the bags and of the fit, each sentence once.
+        On the bags and on the fit, each sentence once.
     """
 
     table: TestData
@@ -109,14 +109,14 @@ def identify(
         Likewise with a command, the table at rest; or the same tests, if multisines ran on both at once on lines of
         their own.
     options
-        How.
+        By default those of `IdentificationOptions`.
     progress
-        Called with what begins and the fraction done.
+        Called with the step that begins and the fraction done.
 
     Raises
     ------
     AbraceError
-        If the tests are not what they should be, or what was fitted is not stable.
+        If a test or an option cannot be used, or a fitted pole is unstable.
     """
     options = options or IdentificationOptions()
     tables, commands = ((runs,) if isinstance(runs, Run) else tuple(runs) for runs in (table, command))

@@ -29,19 +29,19 @@ LEAST_SECONDS = 60.0
 """Shorter tests do not resolve modes of 1 % damping near 1 Hz."""
 
 REST = 0.05
-"""An input at rest moves less than this share of what it moves when it is excited: sensor noise alone."""
+"""Greatest rms of an input at rest (sensor noise), as a share of its rms where it is excited."""
 
 CLIPPED_SHARE = 1e-3
-"""Greatest share of an input's samples at its extremes: noise cut at 3.3 standard deviations, of which 1 % is lost."""
+"""Greatest share of an input's samples at its extremes: that of noise clipped at 3.3 standard deviations."""
 
 CLIPPED_COUNT = 10
-"""Samples at one extreme value that unclipped noise hardly ever has."""
+"""Samples at one extreme value from which on a signal counts as clipped; unclipped noise hardly ever has as many."""
 
 STUCK_SHARE = 0.1
-"""Share of a record for which a live channel does not keep one value; the rest at its ends is shorter."""
+"""Share of a record for which a channel that keeps one value counts as stuck; the rest at its ends is shorter."""
 
 FALSE_ALARM = 1e-3
-"""Probability that a channel of pure noise passes as a response."""
+"""Probability that a channel of pure noise is accepted as a response."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Recording:
     left_out
         Channels that are no response, with the reason.
     warnings
-        What else a reader should know, one sentence each.
+        On the test and its channels, one sentence each.
     """
 
     run: Run
@@ -68,12 +68,7 @@ class Recording:
         return tuple(name for name in self.run.names if name not in self.left_out)
 
 
-def prepare(
-    run: Run,
-    inputs: Sequence[str],
-    band: tuple[float, float],
-    period: int | None = None,
-) -> Recording:
+def prepare(run: Run, inputs: Sequence[str], band: tuple[float, float], period: int | None = None) -> Recording:
     """Check a test and make it ready: the longest whole piece, trends removed.
 
     Parameters

@@ -149,7 +149,7 @@ def fit_sanathanan_koerner(
 
 
 def require_stable(poles: NDArray[np.complex128], where: str) -> NDArray[np.complex128]:
-    """The `poles`, if all of them are stable; `where` says in an error whose they are.
+    """The `poles`, if all of them are stable; an error begins with `where` they come from.
 
     Raises
     ------
@@ -161,6 +161,6 @@ def require_stable(poles: NDArray[np.complex128], where: str) -> NDArray[np.comp
         named = ", ".join(f"{p.real:+.4g}{p.imag:+.4g}i" for p in unstable if p.imag >= 0)
         raise AbraceError(
             f"{where}: unstable poles {named} rad/s, expected stable ones; "
-            "a longer or stronger test, a narrower band or a lower order may mend it"
+            "a longer or stronger test, a narrower band or a lower order may help"
         )
     return poles

@@ -11,10 +11,10 @@ projection, Golub and Pereyra 1973, in Kaufman's form of 1975), and Levenberg-Ma
 The cost of a step grows linearly with the lines and hardly with the channels.
 
 The noise V is independent from line to line and of one level in each channel, unknown, concentrated out of the
-likelihood: what is minimised is the sum over channels of n log(residual sum of squares). From channel to channel it is
-correlated: what the measured input's noise becomes through the structure is common to all. The covariance of the poles
-allows for that, and for coloured noise, without a model of them, being summed from each line's own residuals
-(Huber 1967, White 1980; a line is a cluster).
+likelihood: the sum over channels of n log(residual sum of squares) is minimised. From channel to channel it is
+correlated, since the measured input's noise passes through the structure to all of them. The covariance of the poles
+allows for that, and for coloured noise, without a model of them: it is summed from each line's own residuals (Huber
+1967, White 1980; a line is a cluster).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def fit_poles(observations: Sequence[Observation], start: NDArray[np.complex128]
     observations
         The tests.
     start
-        Poles to begin with [rad/s], of each pair the one above the real axis, and real ones; they keep their order.
+        Starting poles [rad/s], of each pair the one above the real axis, and real ones; they keep their order.
         They must be right within a few half-power bandwidths, as those of `vector_fitting` are.
 
     Raises
@@ -82,7 +82,7 @@ def fit_poles(observations: Sequence[Observation], start: NDArray[np.complex128]
     if likelihood is None or not converged:
         raise AbraceError(
             f"{where}: no maximum of the likelihood found in {iterations} steps from the poles {_named(poles)} rad/s; "
-            "other starting poles, fewer poles or a narrower band may mend it"
+            "other starting poles, fewer poles or a narrower band may help"
         )
     require_stable(likelihood.poles, where)
     observed = sum(test.residual.size for test in likelihood.tests)
@@ -171,7 +171,7 @@ class _TestLikelihood:
         for combination, residual, power in zip(self.combinations, self.residual.T, self.power, strict=True):
             single = (self.slopes @ combination) * (residual / power)[:, None]
             score += single[:lines] + single[lines:]
-        # what the fit has taken away of a line's residual is given back (MacKinnon and White 1985, HC3)
+        # corrected for the leverage of each line on its own fit (MacKinnon and White 1985, HC3)
         score /= (1 - np.minimum(self.leverage, 0.9))[:, None]
         return score.T @ score
 
@@ -188,7 +188,7 @@ class _Likelihood:
 
     @classmethod
     def at(cls, observations: Sequence[Observation], poles: NDArray[np.complex128]) -> _Likelihood | None:
-        """None where there is no likelihood: poles that coincide or are too fast, a pair that crosses the real axis."""
+        """None if poles coincide or are too fast, or a pair crosses the real axis: the likelihood is not defined."""
         exponents = poles * observations[0].samplings[0].sample_period
         if not ((np.abs(exponents.real) < FASTEST) & (np.abs(exponents.imag) < np.pi) & (poles != 0)).all():
             return None

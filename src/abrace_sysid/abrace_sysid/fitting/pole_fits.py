@@ -80,7 +80,7 @@ def fit_poles_of(
     options
         `fit`, `command_order` and `servo_lag` are used.
     progress
-        Called with what begins and the fraction done.
+        Called with the step that begins and the fraction done.
 
     Raises
     ------

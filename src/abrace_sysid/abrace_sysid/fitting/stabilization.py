@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 LINES = 1500
-"""Frequency lines that are fitted at most: enough for where poles are."""
+"""Greatest number of frequency lines that are fitted: enough to locate poles."""
 
 ITERATIONS = 10
 
@@ -132,14 +132,14 @@ def _same(
     shapes: NDArray[np.complex128],
     below: OrderPoles | None,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Whether each pole's nearest in the order below is the same, in frequency, damping ratio and shape."""
+    """Whether each pole is the same as its nearest in the order below: in frequency, damping ratio and shape."""
     if below is None or not len(below.frequency) or not len(frequency):
         none = np.zeros(len(frequency), dtype=np.bool_)
         return none, none, none
     nearest = np.argmin(np.abs(frequency[:, None] - below.frequency), axis=1)
     same_frequency = np.abs(frequency / below.frequency[nearest] - 1) < FREQUENCY
     same_damping = same_frequency & (np.abs(damping / below.damping[nearest] - 1) < DAMPING)
-    # channels in units of their size, or the forces would be all there is of a shape
+    # channels in units of their size, or the forces would dominate every shape
     size = np.maximum(np.sqrt(np.mean(np.abs(shapes) ** 2, axis=0)), np.finfo(float).tiny)
     agreement = modal_assurance(shapes / size, below.shapes / size)[np.arange(len(frequency)), nearest]
     return same_frequency, same_damping, same_frequency & (1 - agreement < SHAPE)

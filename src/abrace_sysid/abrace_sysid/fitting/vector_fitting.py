@@ -169,7 +169,7 @@ def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0) -> N
     else:
         raise AbraceError(
             f"starting poles: {len(found)} oscillating poles between {measured.omega[0]:.3g} and "
-            f"{measured.omega[-1]:.3g} rad/s, expected {pairs}; a longer or stronger test, or fewer pairs, may mend it"
+            f"{measured.omega[-1]:.3g} rad/s, expected {pairs}; a longer or stronger test, or fewer pairs, may help"
         )
     found = found[np.argsort(np.abs(found))]
     slow_and_fast = np.array([-np.abs(found[0]), -2 / measured.sample_period])

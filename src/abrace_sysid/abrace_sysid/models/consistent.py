@@ -33,8 +33,8 @@ def realize_together(
 ) -> LinearModel:
     """One model for several inputs with common poles, each input driving its own copy of them.
 
-    An input gets the poles up to the highest frequency at which its response was measured; what lies beyond shows as
-    the direct term. Direct terms are kept as the data give them.
+    An input gets the poles up to the highest frequency at which its response was measured; those beyond add to the
+    direct term, which is fitted.
 
     Parameters
     ----------

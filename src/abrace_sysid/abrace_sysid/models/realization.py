@@ -5,8 +5,8 @@ row of C and D for each output: a linear least-squares problem, as the upper hal
 any order.
 
 The rows are fitted with equal (absolute) weights to the response of the *discretised* block model, hold and delay
-included: what the model then predicts at the samples is what was measured there. Relative weights would be worse: in
-closed loop z1 + z2 + z3 cancel, and any inconsistency between them is amplified.
+included, so that the model predicts the samples that were measured. Relative weights would be worse: in closed loop
+z1 + z2 + z3 cancel, and any inconsistency between them is amplified.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ def realize(
     AbraceError
         If several responses are not of the same input and outputs.
     """
-    together = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
-    name, outputs = together[0].input, together[0].outputs
-    for other in together[1:]:
+    responses = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
+    name, outputs = responses[0].input, responses[0].outputs
+    for other in responses[1:]:
         if (other.input, other.outputs) != (name, outputs):
             raise AbraceError(
                 f"realisation: responses of {', '.join(other.outputs)} to {other.input} and of {', '.join(outputs)} "
                 f"to {name}, expected the same input and outputs"
             )
     states = modal_states(poles, name, delay)
-    basis = np.vstack([sampled_response(states, response) for response in together])
-    rows = least_squares(basis, np.vstack([response.response for response in together])).T
+    basis = np.vstack([sampled_response(states, response) for response in responses])
+    rows = least_squares(basis, np.vstack([response.response for response in responses])).T
     return replace(states, c=rows[:, :-1], d=rows[:, -1:], outputs=outputs)
 
 

@@ -2,7 +2,7 @@
 
 In SI units the Gramians of the table's motion swamp those of the command by a factor of 1e9. So inputs and outputs are
 scaled first: each input by the intensity of Table 1's test, each output by its rms under inputs of those intensities.
-The superposed model has each building pole three times; the copies that cannot be told apart drop out.
+The superposed model has each building pole three times; copies that coincide are cut.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ INTENSITY = {"w": 0.02 * 9.80665, "U": 186.0 * 9.80665}
 """Typical rms of the ground acceleration [m/s^2] and of a command [N] (Table 1), by the signal's first letter."""
 
 NEGLIGIBLE = 1e-7
-"""Share of the greatest Hankel singular value below which a state drives nothing or shows nothing: what rounding
-leaves of a singular Gramian's square root."""
+"""Share of the greatest Hankel singular value below which a state counts as uncontrollable or unobservable: rounding
+leaves as much of a singular Gramian's square root."""
 
 LINES = 4000
 """Frequencies of a sum over a band, evenly spaced in the logarithm."""
@@ -33,7 +33,7 @@ LINES = 4000
 
 @dataclass(frozen=True)
 class Scales:
-    """What one unit of each signal is for balancing: `inputs` (inputs,) and `outputs` (outputs,), in SI units."""
+    """The balancing unit of each signal: `inputs` (inputs,) and `outputs` (outputs,), in SI units."""
 
     inputs: NDArray[np.float64]
     outputs: NDArray[np.float64]
@@ -56,7 +56,7 @@ class Reduction:
 
     @property
     def error_bound(self) -> float:
-        """Greatest possible error of the frequency response, in balancing units: twice the sum of what was cut."""
+        """Greatest possible error of the frequency response, in balancing units: twice the sum of the values cut."""
         return float(2 * self.hankel_singular_values[self.model.order :].sum())
 
 
@@ -184,7 +184,7 @@ def errors_by_order(model: LinearModel, scales: Scales, band: tuple[float, float
 
 
 def _white_noise(band: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Angular frequencies [rad/s] over a band [Hz] and the share of white noise's power that each stands for."""
+    """Angular frequencies [rad/s] over a band [Hz] and the share of white noise's power in each."""
     omega = 2 * np.pi * np.geomspace(*band, LINES)
     return omega, np.gradient(omega) / (2 * np.pi * (band[1] - band[0]))
 

@@ -32,7 +32,9 @@ PARAMETERS = [
     Parameter(
         "table", [], "bag, or list of bags, of tests with noise or a multisine on the table", element=str, required=True
     ),
-    Parameter("command", [], "likewise with the command; the same bags: both at once", element=str, required=True),
+    Parameter(
+        "command", [], "likewise with the command; the same bags where both were excited", element=str, required=True
+    ),
     Parameter("output", "", "folder for models, poles and figures", required=True),
     Parameter("fit", DEFAULTS.fit, "of the poles", choices=FIT_METHODS),
     Parameter("method", METHOD.method, "of the transfer functions", choices=get_args(Method)),

@@ -21,7 +21,7 @@ from abrace_sysid.validation import Comparison, compare
 PARAMETERS = [
     Parameter("bag", "", "bag of the test to compare", required=True),
     Parameter("model", "", "model file (JSON) to simulate with", required=True),
-    Parameter("other_models", [], "further model files, whose figures stand beside", element=str),
+    Parameter("other_models", [], "further model files to simulate with, compared in the same way", element=str),
     Parameter("controller", "", "controller file of the test; empty: the recorded command drives the model"),
     Parameter("uncontrolled", "", "bag of the same test without control; empty: none"),
     Parameter("output", "", "folder for comparison.json and figures", required=True),

@@ -2,7 +2,7 @@
 
 What is measured is the response of the *sampled* rig: from an input's value at each sample (a command held until the
 next, a ground acceleration linear in between) to the recorded outputs. So a continuous model is sampled alike before it
-is compared with it, and what fits continuous models takes hold and delay out of it first.
+is compared with it, and fits of continuous models take hold and delay out first.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class FrequencyResponse:
 def hold_and_delay(
     omega: NDArray[np.float64], sample_period: float, hold: Hold, delay: float = 0.0
 ) -> NDArray[np.complex128]:
-    """(lines,) what a held input and a delay do to a slow enough response (Franklin, Powell and Workman 1998, ch. 6).
+    """(lines,) the factor of hold and delay in a response far below half the sample rate (Franklin et al. 1998, ch. 6).
 
     Parameters
     ----------

@@ -2,8 +2,8 @@
 
 About each line of a record's discrete Fourier transform, the response G and the transient (leakage) T in
 Y(k) = G(k) U(k) + T(k) + V(k) are polynomials of the line number over a window of neighbouring lines, found together
-by least squares; what is left over is the noise V (Pintelon and Schoukens 2012, ch. 7). A lightly damped mode in a
-short record is narrower than any window: there both are rational, with one pole that all channels share (McKelvey and
+by least squares; the residual is the noise V (Pintelon and Schoukens 2012, ch. 7). A lightly damped mode in a
+short record is narrower than any window: then both are rational, with one pole that all channels share (McKelvey and
 Guerin 2012; A Y = B U + C + A V with A = 1 + a r).
 
 The transient's polynomials span the same space in every window: one fixed projection removes them. Several records
@@ -27,14 +27,14 @@ WINDOWS_AT_ONCE = 128
 """Windows that are solved together; keeps the work in the cache."""
 
 WEIGHING_WINDOWS = 256
-"""Windows, evenly spread over the band, that tell the channels' noise and with it their weights in the shared pole."""
+"""Windows, evenly spread over the band, that give the channels' noise and so their weights in the shared pole."""
 
 DEPENDENT = 1e-6
-"""An input of which no greater share is its own repeats another."""
+"""Share of an input that is independent of the others, below which it counts as a repetition of them."""
 
 
 def least_half_width(order: int, inputs: int = 1, records: int = 1) -> int:
-    """The narrowest window, in lines on either side, that leaves residuals to judge the noise by.
+    """The narrowest window, in lines on either side, that leaves residuals for an estimate of the noise.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class _Grid:
         self.offset = np.linspace(-1, 1, window)
         basis, _ = np.linalg.qr(np.vander(self.offset, order + 1, increasing=True), mode="complete")
         self.powers, self.complement = basis[:, : order + 1], basis[:, order + 1 :].T
-        # an input's window times each polynomial, an output's times 1 and r, without what a transient can explain
+        # an input's window times each polynomial, an output's times 1 and r, both projected off the transient
         self.of_input = np.concatenate(self.complement * self.powers.T[:, None, :])
         self.of_output = np.concatenate([self.complement, self.complement * self.offset])
         # (window, windows, records x inputs or channels)
@@ -171,7 +171,7 @@ class _Grid:
 
 @dataclass(frozen=True)
 class _Solved:
-    """Least squares in some windows: R, Q^H [y, r y], what was left over of y + a r y, and a."""
+    """Least squares in some windows: R, Q^H [y, r y], the residual of y + a r y, and a."""
 
     grid: _Grid
     triangle: NDArray[np.complex128]
@@ -191,7 +191,7 @@ class _Solved:
     ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
         """Response and standard deviation (lines, channels, inputs), each at a position within a window.
 
-        Without a pole, the response is p.T R^-1 Q^H y with p the polynomials' values there.
+        Without a pole, the response is p.T R^-1 Q^H y with p the polynomials' values at the position.
         """
         grid, channels = self.grid, self.grid.channels
         polynomials, unknowns = grid.powers.shape[1], len(self.triangle)

@@ -27,7 +27,7 @@ class TestData:
     periodic
         Whether the tests were periodic.
     warnings
-        What a reader should know, one sentence each.
+        On the tests, one sentence each.
     """
 
     input: str

@@ -35,27 +35,27 @@ ORDER = 4
 """Of the transient's polynomial at most."""
 
 EDGE = 50
-"""Samples by which the ends of the periodic part of an input may be missed."""
+"""Greatest error, in samples, of the ends found of an input's periodic part."""
 
 ALIKE = 0.05
-"""Share of its mean square by which an input may differ from itself a period later."""
+"""Greatest mean square difference of an input from itself a period later, as a share of its mean square."""
 
 LEAST_CORRELATION = 0.4
-"""Of an input with itself a period later; two periods between long rests have 0.5."""
+"""Least correlation of an input with itself a period later; two periods between long rests have 0.5."""
 
 LEAST_AMPLITUDE = 0.01
-"""Of the strongest line: an input's weaker lines do not excite."""
+"""Share of an input's strongest line below which a line counts as not excited."""
 
 CERTAIN = 5.0
-"""Times the noise that an excited line stands out at least."""
+"""Least amplitude of an excited line, in standard deviations of the noise."""
 
 
 @dataclass(frozen=True)
 class PeriodicResponse:
     """The response to one input from a periodic test, with levels of noise and distortion.
 
-    The levels are root mean squares in each channel's unit, of as many lines as the input excites: in a linear test
-    `even_distortion` and `odd_distortion` are as low as `noise`, which they include.
+    The levels are root mean squares in each channel's unit, of as many lines as the input excites. They include the
+    noise: in a linear test `even_distortion` and `odd_distortion` are as low as `noise`.
 
     Parameters
     ----------
@@ -98,10 +98,10 @@ def periodic_response(
     band
         Lowest and highest frequency [Hz].
     period_samples
-        Samples in a period; None: the longest that any input is found to have. (Even lines alone repeat themselves
-        after half a period, in which none is left out: give the whole.)
+        Samples in a period; None: the longest period found in any input. (An input of even lines alone repeats itself
+        after half a period: give the whole period.)
     dropped
-        Periods left out at the beginning, at least 1: until the slowest mode has forgotten that the test began.
+        Periods left out at the beginning, at least 1: until the slowest mode's transient has decayed.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def periodic_response(
     omega = 2 * np.pi * frequency[lines[excited] - 1]
 
     def level(which: NDArray[np.bool_], amplitudes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(channels,) root mean square of as many lines as are excited, each as strong as `which` are on average."""
+        """(channels,) root mean square over the lines `which`, scaled to as many lines as are excited."""
         if not which.any():
             return np.full(amplitudes.shape[1] - count, np.nan)
         power = np.mean(amplitudes[which, count:] ** 2, axis=0) * np.count_nonzero(excited)
@@ -206,7 +206,7 @@ def _whole_periods(
 
 
 def _repeats(excitation: NDArray[np.float64], period: int) -> bool:
-    """Whether a signal, rest before and after included, is alike after a period for at least two periods."""
+    """Whether a signal, rest before and after included, repeats itself for at least two periods."""
     if not 0 < period < len(excitation):
         return False
     before, after = excitation[:-period], excitation[period:]
@@ -218,11 +218,11 @@ def _periodic_part(inputs: NDArray[np.float64], period: int) -> tuple[int, int]:
     first, last = 0, len(inputs)
     for excitation in inputs.T:
         before, after = excitation[:-period], excitation[period:]
-        changed = ndimage.uniform_filter1d((after - before) ** 2, EDGE, mode="nearest")
-        parts, count = ndimage.label(changed < ALIKE * (before @ before) / len(before))
+        difference = ndimage.uniform_filter1d((after - before) ** 2, EDGE, mode="nearest")
+        parts, count = ndimage.label(difference < ALIKE * (before @ before) / len(before))
         if not count:
             return 0, 0
-        # at rest an input is alike as well, but does not move
+        # at rest an input repeats itself as well, but is zero
         moves = ndimage.sum_labels(before * after, parts, np.arange(1, count + 1))
         (part,) = ndimage.find_objects(parts)[int(np.argmax(moves))]
         first, last = max(first, part.start), min(last, part.stop + period)
