@@ -30,8 +30,9 @@ from abrace_plant.records.intensity import STANDARD_GRAVITY
 from abrace_plant.records.treatment import Treatment, prepare
 from abrace_plant.rig import published
 from abrace_plant.rig.file import load_rig
+from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.fitting.pole_fits import fit_poles_of
-from abrace_sysid.identification import Identification, IdentificationOptions, identify
+from abrace_sysid.identification import Identification, identify
 from abrace_sysid.validation import compare
 
 if TYPE_CHECKING:

@@ -182,14 +182,14 @@ def fit_with_scikit_rf(plain: FrequencyResponse, order: int) -> tuple[NDArray[np
 
 def vector_fits(identified: Identification, rig: Rig) -> dict[str, Any]:
     """Seconds of the fits of both tests and the worst errors of each; the ratio is that of the two vector fits."""
+    from abrace_sysid.fitting.options import IdentificationOptions
     from abrace_sysid.fitting.pole_fits import fit_poles_of
     from abrace_sysid.fitting.vector_fitting import vector_fitting
-    from abrace_sysid.identification import IdentificationOptions
 
     table, command = identified.table_response, identified.command_response
     cases = (
-        (table, table.without_hold("first"), TABLE_ORDER, rig.floors),
-        (command, command.without_hold("zero", rig.braces[0].actuator.lag), COMMAND_ORDER, COMMAND_ORDER // 2),
+        (table, table.without_hold(), TABLE_ORDER, rig.floors),
+        (command, command.without_hold(rig.braces[0].actuator.lag), COMMAND_ORDER, COMMAND_ORDER // 2),
     )
     seconds = dict.fromkeys(("scikit_rf", "ours"), 0.0)
     errors: dict[str, list[tuple[float, float]]] = {name: [] for name in (*seconds, "maximum_likelihood")}
@@ -226,16 +226,16 @@ def vector_fits(identified: Identification, rig: Rig) -> dict[str, Any]:
 def cost(laboratory: Laboratory, start: NDArray[np.complex128]) -> dict[str, list[dict[str, Any]]]:
     """Seconds of the likelihood's fit of the command test for records of several lengths, and for several channels."""
     from abrace_sysid.fitting.maximum_likelihood import fit_poles
-    from abrace_sysid.fitting.observation import of_spectra
-    from abrace_sysid.identification import IdentificationOptions
+    from abrace_sysid.fitting.observation import Observation
+    from abrace_sysid.fitting.options import IdentificationOptions
     from abrace_sysid.recordings import prepare
-    from abrace_sysid.spectra.fourier import of_run
+    from abrace_sysid.spectra.fourier import spectra_of
 
     def row(run: Run, channels: int) -> dict[str, Any]:
         (name,) = run.command_names
         band = IdentificationOptions().command_band
-        spectra = of_run(prepare(run, [name], band).run, [name], band).select(CHANNELS[:channels])
-        observation = of_spectra(spectra, run.source)
+        spectra = spectra_of(prepare(run, [name], band).run, [name], band).select(CHANNELS[:channels])
+        observation = Observation.of_spectra(spectra, run.source)
         steps = fit_poles([observation], start).iterations
         seconds = best_of(REPEATS, lambda: fit_poles([observation], start), warm=False)
         return {

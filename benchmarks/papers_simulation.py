@@ -23,6 +23,7 @@ from scipy.optimize import least_squares
 
 from abrace.report.table import Table
 from abrace_core import signals
+from abrace_core.discretization import discretize
 from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, save_figure
 from abrace_core.linear_model import LinearModel, pole_table
 from abrace_core.node import find_file
@@ -34,7 +35,7 @@ from abrace_core.response import (
     mean_relative_error,
     peak_rms_of,
 )
-from abrace_core.simulation import discretize, simulate, simulate_closed_loop
+from abrace_core.simulation import simulate, simulate_closed_loop
 from abrace_lqg.design import design
 from abrace_lqg.loop import closed_loop
 from abrace_lqg.weights import Weights, load_weights
@@ -44,9 +45,11 @@ from abrace_plant.records.treatment import Treatment, prepare
 from abrace_plant.rig import published
 from abrace_plant.rig.building import Building
 from abrace_plant.rig.file import load_rig
-from abrace_sysid.identification import IdentificationOptions, identify
-from abrace_sysid.models.realization import HOLDS, realize, superpose
-from abrace_sysid.spectra.frequency_response import Choice, FrequencyResponse
+from abrace_sysid.fitting.options import IdentificationOptions
+from abrace_sysid.identification import identify
+from abrace_sysid.models.realization import realize, superpose
+from abrace_sysid.spectra.estimation import TransferFunctionOptions
+from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,7 +57,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_plant.rig.model import Rig
-    from abrace_sysid.spectra.frequency_response import Method
+    from abrace_sysid.spectra.estimation import Method
 
 Pairs = tuple[tuple[float, float], ...]
 """Frequency [rad/s] and damping ratio of the building's modes."""
@@ -177,13 +180,13 @@ class Test:
 
     def run(self, model: LinearModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Outputs and commands of a continuous model, as `simulate_closed_loop` gives them."""
-        sampled = discretize(model, 1 / self.rig.sample_rate, HOLDS)
+        sampled = discretize(model, 1 / self.rig.sample_rate)
         return simulate_closed_loop(sampled, self.controller, self.ground, self.rig.capacity)
 
     def parts(self, model: LinearModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The same outputs as the sum of what the table and what the command cause, each (samples, outputs)."""
         _, command = self.run(model)
-        sampled = discretize(model, 1 / self.rig.sample_rate, HOLDS)
+        sampled = discretize(model, 1 / self.rig.sample_rate)
         in_force = np.append(command[1:, 0], command[-1, 0])
         still = np.zeros(len(self.ground))
         shaken, pushed = np.column_stack([self.ground, still]), np.column_stack([still, in_force])
@@ -270,7 +273,7 @@ def causes(test: Test) -> dict[str, float]:
 
 def estimated(test: Test, table: Rig, command: Rig, method: Method) -> list[float]:
     """Distances of the superposed models of SEEDS pairs of simulated tests of 300 s, a rig for each test."""
-    options = IdentificationOptions(fit="sk", transfer_function=Choice(method=method))
+    options = IdentificationOptions(fit="sk", transfer_function=TransferFunctionOptions(method=method))
     errors = []
     for seed in range(SEEDS):
         noise = Laboratory(table, seed).table_test(300), Laboratory(command, seed).command_test(300)

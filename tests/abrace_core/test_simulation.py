@@ -4,9 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_core.simulation import discretize, simulate, simulate_closed_loop
+from abrace_core.simulation import simulate, simulate_closed_loop
 from abrace_lqg.loop import closed_loop
 
 OMEGA, ZETA, PERIOD = 7.3, 0.02, 0.05
@@ -79,7 +80,7 @@ def test_inputs_keep_their_own_delays_and_holds():
     delayed = LinearModel(model.a, model.b, model.c, model.d, model.inputs, model.outputs, input_delay=(0, 0.08, 0.2))
     time = np.arange(300) * PERIOD
     inputs = np.column_stack([time, np.ones(300), np.full(300, -2.0)])
-    found = simulate(discretize(delayed, PERIOD, {"w": "first"}), inputs)[:, 0]
+    found = simulate(discretize(delayed, PERIOD), inputs)[:, 0]
     expected = ramp_response(time) + step_response(time - 0.08) - 2 * step_response(time - 0.2)
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
@@ -125,7 +126,7 @@ def test_what_cannot_be_stepped_is_refused(call, message):
 
 
 def plant_and_controller() -> tuple[LinearModel, LinearModel]:
-    plant = discretize(oscillator(names=("w", "U"), gain=0.2), PERIOD, {"w": "first"})
+    plant = discretize(oscillator(names=("w", "U"), gain=0.2), PERIOD)
     controller = LinearModel([[0.5]], [[1.0]], [[-2.0]], [[-1.5]], ("y",), ("U",), sample_period=PERIOD)
     return plant, controller
 

@@ -8,9 +8,9 @@ import control
 import numpy as np
 import pytest
 
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_core.simulation import discretize
 from abrace_lqg.design import delayed, design, kalman, regulator, riccati, tustin
 from abrace_lqg.loop import closed_loop
 from abrace_lqg.weights import Weights
@@ -117,7 +117,7 @@ def test_a_delayed_command_has_unit_gain_and_the_whole_delays_phase():
 def test_the_delay_of_the_design_model_is_what_lies_between_sample_and_effect():
     # a command from sample k, in force from k+1 to k+2: computation and hold, seen at the sampling instants
     model = storey(delay=0.0008)
-    held = discretize(model, PERIOD, {"w": "first"})
+    held = discretize(model, PERIOD)
     omega = np.linspace(1, 60, 50)
     true = held.frequency_response(omega)[:, 0, 1] * np.exp(-1j * omega * PERIOD)
     np.testing.assert_allclose(delayed(model, PERIOD).frequency_response(omega)[:, 0, 1] / true, 1, atol=2e-3)

@@ -8,9 +8,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_core.simulation import discretize, simulate
+from abrace_core.simulation import simulate
 from abrace_plant.records.files import read_record
 from abrace_plant.records.treatment import Treatment, prepare
 from abrace_plant.rig.building import Building, shear_stiffness

@@ -4,19 +4,20 @@ import numpy as np
 import pytest
 from laboratory import Laboratory
 
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.run import Run
-from abrace_core.simulation import discretize
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
 from abrace_plant.records.files import read_record
 from abrace_plant.records.treatment import Treatment, prepare
 from abrace_plant.rig.sensors import Measurement
-from abrace_sysid.models.consistent import consistent_model, realize_together, slow_real_pole
-from abrace_sysid.models.realization import HOLDS
+from abrace_sysid.fitting.slow_pole import slow_real_pole
+from abrace_sysid.models.consistent import consistent_model, realize_together
 from abrace_sysid.models.reduction import balanced_truncation, typical_scales
-from abrace_sysid.spectra.frequency_response import FrequencyResponse, local_polynomial
+from abrace_sysid.spectra.estimation import TransferFunctionOptions, frequency_responses
+from abrace_sysid.spectra.frequency_response import FrequencyResponse
 from abrace_sysid.validation import compare
 
 BAND = (0.3, 30.0)
@@ -37,7 +38,7 @@ def two_inputs():
 
 def measured(model, name, highest=30.0, outputs=("x1", "a1", "f"), lines=600):
     omega = 2 * np.pi * np.linspace(0.2, highest, lines)
-    sampled = discretize(model.select(outputs, [name]), 0.002, HOLDS).frequency_response(omega)[:, :, 0]
+    sampled = discretize(model.select(outputs, [name]), 0.002).frequency_response(omega)[:, :, 0]
     return FrequencyResponse(name, outputs, omega, sampled, np.full(sampled.shape, 1e-6), 0.002, "exact")
 
 
@@ -124,9 +125,10 @@ def controlled(laboratory, controller, ground, seed):
 @pytest.fixture(scope="module")
 def responses(rig):
     laboratory = Laboratory(rig, seed=5)
+    options = TransferFunctionOptions("local_polynomial")
     return (
-        local_polynomial(laboratory.table_test(300), "w", (0.3, 10.0)),
-        local_polynomial(laboratory.command_test(300), "U", BAND),
+        *frequency_responses(laboratory.table_test(300), ["w"], (0.3, 10.0), options),
+        *frequency_responses(laboratory.command_test(300), ["U"], BAND, options),
     )
 
 

@@ -6,18 +6,18 @@ import pytest
 from identification_accuracy import Trial, coverage, true_pairs, worst_errors, worst_of
 from n4sid import n4sid_poles
 
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
 from abrace_core.noise import banded_noise
-from abrace_core.simulation import discretize
 from abrace_plant.rig.actuator import Actuator
 from abrace_plant.rig.building import Building, modal_damping
 from abrace_plant.rig.model import BraceGroup
 from abrace_plant.rig.sensors import SensorSet
+from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.fitting.pole_estimate import PoleInterval
-from abrace_sysid.identification import IdentificationOptions, identify
-from abrace_sysid.models.realization import HOLDS
-from abrace_sysid.spectra.frequency_response import Choice
+from abrace_sysid.identification import identify
+from abrace_sysid.spectra.estimation import TransferFunctionOptions
 from abrace_sysid.validation import compare
 
 
@@ -104,10 +104,10 @@ def test_the_papers_equation_fails_on_the_command_and_says_so(table_test, comman
 
 
 def test_welch_gives_a_worse_transfer_function_and_the_same_poles(table_test, command_test, identified, rig):
-    options = IdentificationOptions(transfer_function=Choice(method="welch"))
+    options = IdentificationOptions(transfer_function=TransferFunctionOptions(method="welch"))
     welch = identify(table_test, command_test, options)
     expect_poles_within(welch, rig, (0.0003, 0.01), (0.001, 0.035))
-    true = discretize(rig.model, 0.002, HOLDS)
+    true = discretize(rig.model, 0.002)
 
     def error(response):
         exact = true.frequency_response(response.omega)[:, :, 1]
@@ -319,7 +319,10 @@ def test_tests_that_are_not_what_they_should_be_are_refused(mistake, table_test,
     ("options", "message"),
     [
         (IdentificationOptions(fit="fft"), "fit 'fft', expected one of maximum_likelihood, vector_fitting, sk, paper"),
-        (IdentificationOptions(transfer_function=Choice(method="fft")), "method 'fft', expected 'local_rational'"),
+        (
+            IdentificationOptions(transfer_function=TransferFunctionOptions(method="fft")),
+            "method 'fft', expected 'local_rational'",
+        ),
         (IdentificationOptions(servo_lag=-0.001), r"servo_lag -0\.001 s, expected a number >= 0"),
         (IdentificationOptions(command_order=11), "command_order 11, expected an even number of at least 6"),
         (IdentificationOptions(command_order=4), "command_order 4, expected an even number of at least 6"),

@@ -3,10 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_core.simulation import discretize
-from abrace_sysid.models.realization import modal_states, realize, superpose
+from abrace_sysid.fitting.modal_states import modal_states
+from abrace_sysid.models.realization import realize, superpose
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 POLES = np.array([-0.11 + 7.3j, -0.11 - 7.3j, -0.5 + 23j, -0.5 - 23j, -40 + 0j])
@@ -32,7 +33,7 @@ def test_modal_states_have_the_poles_and_show_themselves_and_the_input():
 def test_a_sampled_response_is_realised_exactly_hold_and_delay_included(input_name, delay):
     model = given_model(input_name, delay)
     omega = np.linspace(2, 190, 300)
-    sampled = discretize(model, 0.002, {"w": "first"}).frequency_response(omega)[:, :, 0]
+    sampled = discretize(model, 0.002).frequency_response(omega)[:, :, 0]
     measured = FrequencyResponse(input_name, ("x1", "a1"), omega, sampled, np.ones((300, 2)), 0.002, "exact")
     found = realize(measured, POLES, delay)
     assert found.input_delay == (delay,)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import signal
 
 from abrace_core.errors import AbraceError
-from abrace_sysid.spectra.frequency_response import held_input
+from abrace_sysid.spectra.fourier import held_input
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

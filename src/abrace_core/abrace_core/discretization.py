@@ -1,6 +1,6 @@
 """The exact discrete equivalent of a continuous model: holds and input delays.
 
-The command is held between samples (zero-order hold); the ground acceleration is taken to be linear between samples
+The command is held between samples (zero-order hold); the ground acceleration is assumed linear between samples
 (first-order hold), which needs no half-sample shift when a recorded motion is compared with its response.
 """
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from scipy import linalg
 
+from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 
@@ -20,9 +21,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Hold = Literal["zero", "first"]
+"""How an input moves between samples: held at its value, or linearly to the next one."""
+
+HOLDS: Mapping[str, Hold] = {signals.GROUND: "first"}
+"""Of the rig's inputs; those not named are held."""
 
 
-def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hold] | None = None) -> LinearModel:
+def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hold] = HOLDS) -> LinearModel:
     """The exact discrete equivalent of a continuous model, input delays included.
 
     Parameters
@@ -32,7 +37,7 @@ def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hol
     sample_period
         Seconds.
     holds
-        How each input moves between samples: "zero" (held, the default) or "first" (linear).
+        Of the inputs by name; "zero" for those not named.
 
     Returns
     -------
@@ -43,7 +48,6 @@ def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hol
     if model.sample_period:
         raise AbraceError("discretize: a continuous model was expected")
     n, m, period = model.order, len(model.inputs), float(sample_period)
-    holds = {name: (holds or {}).get(name, "zero") for name in model.inputs}
 
     def held(span: float, column: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray]:
         """exp(A span) and the responses at `span` to a unit step and to a unit ramp (of slope 1/span) in one input."""
@@ -60,7 +64,7 @@ def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hol
     blocks: list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]] = []
     for j, name in enumerate(model.inputs):
         delay = model.input_delay[j]
-        if holds[name] == "first":
+        if holds.get(name) == "first":
             if delay:
                 raise AbraceError(f"discretize: input {name} has a delay, which a first-order hold cannot take")
             _, step, ramp = held(period, model.b[:, j])

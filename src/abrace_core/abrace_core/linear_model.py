@@ -1,7 +1,7 @@
 """State-space models with named signals: dx/dt = A x + B u(t - delay), y = C x + D u(t - delay).
 
-The model type of the whole house (Eqs. 3 to 9 of the paper). A model is immutable; it is kept in a JSON file together
-with what made it, and converts to python-control's StateSpace and to MATLAB.
+The model type of all packages (Eqs. 3 to 9 of the paper). A model is immutable; it is kept in a JSON file with its
+provenance, and converts to python-control's StateSpace and to MATLAB.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class LinearModel:
     input_delay
         Seconds for each input; only in continuous models (a discrete one carries its delays in states).
     provenance
-        What made the model: bags, method, options, version. Any JSON values.
+        Bags, method, options and version from which the model was made. Any JSON values.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Periodic multisines: the excitation beside the paper's white noise, for transfer functions without leakage.
+"""Periodic multisines: an alternative to the paper's white noise, for transfer functions without leakage.
 
 A multisine is a sum of cosines at multiples (lines) of one over its period. Its amplitudes are chosen, its phases are
 free: random ones are improved by clipping the peaks and restoring the amplitudes, over and over (Van der Ouderaa,
-Schoukens and Renneboog 1988), until much more force or acceleration fits under the same peak. Inputs on different
+Schoukens and Renneboog 1988), until the rms is much greater at the same peak. Inputs on different
 lines are orthogonal over a period and can be played at once; lines left out at random show nonlinear distortion
 (Pintelon and Schoukens 2012, sec. 4.3: random harmonic grid).
 """
@@ -23,13 +23,13 @@ LINES = ("all", "odd", "even")
 """Which multiples of one over the period a multisine may have."""
 
 LEFT_OUT = 4
-"""Of so many neighbouring odd (or even) lines one, by chance, is left out."""
+"""One line in so many neighbouring odd (or even) ones, chosen at random, is left out."""
 
 CLIPPINGS = 400
 """Iterations of the clipping, after which the crest factor of a band of some hundred lines falls no further."""
 
 CLIP_FIRST, CLIP_LAST = 0.65, 0.96
-"""Where the peaks are clipped, as shares of the greatest value, in the first iteration and in the last."""
+"""Clipping level as a share of the greatest value, in the first iteration and in the last."""
 
 
 def multisine(

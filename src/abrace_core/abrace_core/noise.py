@@ -1,4 +1,4 @@
-"""Banded white noise: what the identification tests play to the table and to the braces (Figs. 3 to 5 of the paper)."""
+"""Banded white noise: the excitation of table and braces in the identification tests (Figs. 3 to 5 of the paper)."""
 
 from __future__ import annotations
 

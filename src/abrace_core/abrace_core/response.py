@@ -1,4 +1,4 @@
-"""Peak and rms of what a test recorded, in the units and the rows of the paper's Table 1."""
+"""Peak and rms of a test's recorded quantities, in the units and the rows of the paper's Table 1."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _PAPER_FORCE = (1 / 9.80665, "kgf")
 
 
 def paper_unit(name: str) -> tuple[float, str]:
-    """What a signal in SI units is multiplied by for the paper's unit, and that unit.
+    """The factor from SI units to the paper's unit of the signal `name`, and that unit.
 
     >>> paper_unit("x3")
     (100.0, 'cm')

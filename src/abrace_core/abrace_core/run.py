@@ -1,4 +1,4 @@
-"""A recorded test of the rig as arrays: what a bag's `response` topic says, with named channels."""
+"""A recorded test of the rig as arrays with named channels: the content of a bag's `response` topic."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Run:
     command
         (samples, groups) [N], in force until each sample.
     facts
-        What the bag says of its run: rig, controller, record, versions.
+        Of the run, from the bag's metadata: rig, controller, record, versions.
     """
 
     source: str
@@ -62,7 +62,7 @@ class Run:
 
     @property
     def command_from_here(self) -> NDArray[np.float64]:
-        """(samples, groups) [N], the command in force from each sample on: what a held input is to a model."""
+        """(samples, groups) [N], the command in force from each sample on: a held input, as models expect it."""
         return np.vstack([self.command[1:], self.command[-1:]])
 
     @property

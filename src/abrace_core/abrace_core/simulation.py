@@ -1,6 +1,6 @@
 """Discrete models run over whole records: free, or with a controller whose commands saturate.
 
-Samples are taken in blocks. All samples of a block follow from its first state and its inputs by one matrix,
+Samples are computed in blocks. All samples of a block follow from its first state and its inputs by one matrix,
 
     y(k+i) = C A^i x(k) + sum over j < i of C A^(i-1-j) B u(k+j) + D u(k+i),
 
@@ -18,27 +18,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.compiled import compiled
-from abrace_core.discretization import Hold, discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Hold", "discretize", "simulate", "simulate_closed_loop"]
-
 BLOCK = 16
 """Samples a block. Longer ones mean fewer steps and larger matrices; 16 and 32 take the least time at 25 states."""
 
 FEW = 4
-"""Steps that are sooner taken one by one than halved."""
+"""Steps up to which the plain recursion is faster than cyclic reduction."""
 
 LARGEST = 1e100
-"""Entry of a matrix power from which on it is not squared: it would overflow where the result itself need not."""
+"""Greatest entry of a matrix power that is squared: beyond it the square might overflow, though the result does not."""
 
 LARGEST_GROWTH = 100.0
-"""What the fastest growing motion may grow by within a block of a closed loop, which cancels there what the controller
-holds down: the digits that may be lost are those of this factor."""
+"""Greatest growth of an unstable motion of plant or controller alone within a block of a closed loop. In the sum it
+cancels, at the cost of as many digits as this factor has."""
 
 
 def simulate(
@@ -105,8 +102,9 @@ def simulate_closed_loop(
     capacity
         (commands,) [N]; commands are cut to +-capacity.
     correction
-        (controller's states, commands): what its next state gains for each newton that is cut off a command, so that
-        its estimate knows of the cut (`Controller.correction`); None: Eq. (13) as printed, which winds up meanwhile.
+        (controller's states, commands): added to its next state for each newton that saturation cuts off a command, so
+        that its estimate follows the saturated command (`Controller.correction`); None: Eq. (13) as printed, which
+        winds up.
 
     Returns
     -------
@@ -156,7 +154,7 @@ def simulate_closed_loop(
 
 @dataclass(frozen=True)
 class _BlockMaps:
-    """What a block of samples makes of the state at its start and of its inputs, sample after sample.
+    """Matrices from the state at a block's start and its inputs to the next block's state and the block's outputs.
 
     `state_from_state` (states, states) and `state_from_inputs` (states, length * inputs) give the state at the next
     block's start; `outputs` (length * outputs, states + length * inputs) the block's outputs from both.
@@ -225,15 +223,15 @@ def _starts(
 
 
 def _in_series(model: LinearModel, controller: LinearModel, correction: NDArray[np.float64]) -> LinearModel:
-    """From ground acceleration and commands in force to the model's outputs and the commands that answer them.
+    """From ground acceleration and commands in force to the model's outputs and the next commands, before saturation.
 
-    The controller's state q(k) is kept without the last command's share, p(k) = q(k) - G U(k-1): U(k-1), once it has
-    been cut, is the command in force at sample k, an input here. G is the `correction`.
+    The state of the controller is p(k) = q(k) - G U(k-1), with its own state q(k) and the `correction` G: U(k-1), once
+    saturated, is the command in force at sample k, an input here.
     """
-    unseen = [name for name in controller.inputs if name not in model.outputs]
-    if unseen:
+    missing = [name for name in controller.inputs if name not in model.outputs]
+    if missing:
         raise AbraceError(
-            f"closed loop: the controller measures {', '.join(unseen)}, the model gives {', '.join(model.outputs)}"
+            f"closed loop: the controller measures {', '.join(missing)}, the model gives {', '.join(model.outputs)}"
         )
     measured = np.array([model.outputs.index(name) for name in controller.inputs], dtype=np.intp)
     c, d = model.c[measured], model.d[measured]
@@ -269,8 +267,9 @@ def _cut_commands(
 ) -> None:
     """Fill in the states at the blocks' starts and the commands in force, each cut to its capacity.
 
-    `driven` (blocks, states + length * commands), which is used up, holds what the ground acceleration makes of the
-    next block's state and of the block's commands; `by_state` and `by_input` add the share of each state and input.
+    `driven` (blocks, states + length * commands), which is overwritten, holds the contributions of the ground
+    acceleration to the next block's state and to the block's commands; `by_state` and `by_input` those of each state
+    and input.
     """
     states, commands = len(by_state), len(capacity)
     command = np.zeros(commands)
@@ -290,7 +289,7 @@ def _cut_commands(
 
 
 def _check_finite(what: str, values: NDArray[np.float64]) -> None:
-    """One value that is not a number would spread over the whole block that it is in."""
+    """An error if a value is not finite: it would spread over its whole block."""
     if not np.isfinite(values).all():
         sample = int(np.argwhere(~np.isfinite(values))[0, 0])
         raise AbraceError(f"{what}: not finite at sample {sample}, expected finite values")

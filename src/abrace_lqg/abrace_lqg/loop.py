@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core import signals
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel, pole_table
-from abrace_core.simulation import discretize
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,7 +35,7 @@ GONE = 1e-4
 def sampled(model: LinearModel, sample_period: float) -> LinearModel:
     """The `model` at `sample_period` [s]: commands held, ground motion linear in between; a discrete one as it is."""
     if not model.sample_period:
-        return discretize(model, sample_period, {signals.GROUND: "first"})
+        return discretize(model, sample_period)
     if abs(model.sample_period - sample_period) > 1e-9 * sample_period:
         raise AbraceError(f"model sampled every {model.sample_period} s, expected every {sample_period} s")
     return model

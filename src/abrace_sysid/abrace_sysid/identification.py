@@ -1,4 +1,4 @@
-"""The whole chain: recorded tests with one input or the other to models (Eqs. 1 to 10) and what the paper lacked.
+"""The whole chain: recorded tests with one input or the other to models (Eqs. 1 to 10), a consistent one among them.
 
 transfer functions  of each test, from all its bags together
 poles               of the table test (A1), of the command test (A2), and one set common to both
@@ -9,7 +9,7 @@ reduced model       the consistent one balanced and cut (Eq. 9): for design
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,13 +17,15 @@ import numpy as np
 from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.run import Run
-from abrace_sysid.fitting.pole_fits import FIT_METHODS, PoleFit, fit_poles_of
+from abrace_sysid.fitting.options import FIT_METHODS, IdentificationOptions
+from abrace_sysid.fitting.pole_fits import PoleFit, fit_poles_of
 from abrace_sysid.models.consistent import consistent_model, realize_together
 from abrace_sysid.models.realization import realize, superpose, unexplained
 from abrace_sysid.models.reduction import Reduction, balanced_truncation, typical_scales
 from abrace_sysid.recordings import prepare, require_at_rest
+from abrace_sysid.spectra.estimation import frequency_responses
 from abrace_sysid.spectra.fourier import held_input
-from abrace_sysid.spectra.frequency_response import Choice, frequency_responses
+from abrace_sysid.spectra.measured_tests import TestData
 from abrace_sysid.spectra.periodic_response import find_period, periodic_response
 
 if TYPE_CHECKING:
@@ -36,83 +38,19 @@ if TYPE_CHECKING:
 
 
 POOR_FIT = 0.1
-"""Share of a channel's response, rms over the band, that a model may leave over without a warning."""
-
-
-@dataclass(frozen=True)
-class IdentificationOptions:
-    """How to identify.
-
-    Parameters
-    ----------
-    transfer_function
-        Method and settings for tests with noise; periodic tests are averaged over their periods.
-    fit
-        Of the poles: "maximum_likelihood", "vector_fitting", "sk" or "paper" (see `pole_fits`).
-    table_band, command_band
-        [Hz] within which the tests are used; they must be excited throughout.
-    command_order
-        Oscillating poles of the response to the command (A2), even.
-    servo_lag
-        Of the actuators, from the bench test [s] (Fig. 2).
-    reduced_order
-        States of the reduced model.
-    """
-
-    transfer_function: Choice = field(default_factory=Choice)
-    fit: str = "maximum_likelihood"
-    table_band: tuple[float, float] = (0.3, 10.0)
-    command_band: tuple[float, float] = (0.3, 30.0)
-    command_order: int = 12
-    servo_lag: float = 0.0008
-    reduced_order: int = 8
-
-
-@dataclass(frozen=True)
-class TestData:
-    """All bags of one kind of test, ready to be fitted.
-
-    Parameters
-    ----------
-    input
-        Name of the input that was excited.
-    runs
-        The tests, checked, without trends.
-    responses
-        Transfer functions of the channels that live: one of all tests with noise, or one of each periodic test.
-    periodic
-        Whether the tests were periodic.
-    warnings
-        What a reader should know, one sentence each.
-    """
-
-    input: str
-    runs: tuple[Run, ...]
-    responses: tuple[FrequencyResponse, ...]
-    periodic: bool
-    warnings: tuple[str, ...]
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """Names of the channels that live."""
-        return self.responses[0].outputs
-
-    @property
-    def source(self) -> str:
-        """The tests' names."""
-        return ", ".join(run.source for run in self.runs)
+"""Greatest residual of a channel without a warning, as a share of its response, rms over the band."""
 
 
 @dataclass(frozen=True)
 class Identification:
-    """What the tests gave.
+    """The models of a rig, with the transfer functions and poles that they were made from.
 
     Parameters
     ----------
     table, command
         The tests and their transfer functions.
     poles
-        Poles of each test and of both, with their uncertainty where the method tells it.
+        Poles of each test and of both, with their uncertainty where the method gives it.
     model
         The consistent model, for prediction; the servo's lag is its input delay.
     superposed
@@ -122,7 +60,7 @@ class Identification:
     reduction
         Eq. (9): the reduced model and the Hankel singular values of `whole`.
     warnings
-        What a reader should know of the bags and of the fit, each sentence once.
+        On the bags and on the fit, each sentence once.
     """
 
     table: TestData
@@ -171,14 +109,14 @@ def identify(
         Likewise with a command, the table at rest; or the same tests, if multisines ran on both at once on lines of
         their own.
     options
-        How.
+        By default those of `IdentificationOptions`.
     progress
-        Called with what begins and the fraction done.
+        Called with the step that begins and the fraction done.
 
     Raises
     ------
     AbraceError
-        If the tests are not what they should be, or what was fitted is not stable.
+        If a test or an option cannot be used, or a fitted pole is unstable.
     """
     options = options or IdentificationOptions()
     tables, commands = ((runs,) if isinstance(runs, Run) else tuple(runs) for runs in (table, command))
@@ -186,18 +124,18 @@ def identify(
     _check_options(options)
     _check_rig(tables, commands, options)
     command_name = tables[0].command_names[0]
-    together = [run.source for run in tables] == [run.source for run in commands]
-    if not together:
+    same_tests = [run.source for run in tables] == [run.source for run in commands]
+    if not same_tests:
         for run in tables:
             require_at_rest(run, command_name, commands[0])
         for run in commands:
             require_at_rest(run, signals.GROUND, tables[0])
     progress("transfer functions from the table", 0.05)
-    from_table = _test_data(tables, signals.GROUND, options.table_band, options, together)
+    from_table = _test_data(tables, signals.GROUND, options.table_band, options, same_tests)
     progress("transfer functions from the command", 0.2)
-    from_command = _test_data(commands, command_name, options.command_band, options, together)
-    alive = [name for name in from_table.outputs if name in from_command.outputs]
-    from_table, from_command = (_with_outputs(data, alive) for data in (from_table, from_command))
+    from_command = _test_data(commands, command_name, options.command_band, options, same_tests)
+    outputs = [name for name in from_table.outputs if name in from_command.outputs]
+    from_table, from_command = from_table.select(outputs), from_command.select(outputs)
 
     progress("poles", 0.5)
     floors = tables[0].floors
@@ -222,21 +160,14 @@ def identify(
     reduction = balanced_truncation(whole, options.reduced_order, typical_scales(whole, options.command_band))
     reduced = replace(reduction.model, provenance={**provenance, "states": "consistent, balanced and cut, Eq. (9)"})
     progress("identified", 1.0)
-    said = (*from_table.warnings, *from_command.warnings, *_misfits(model, from_table), *_misfits(model, from_command))
-    return Identification(
-        from_table,
-        from_command,
-        poles,
-        model,
-        superposed,
-        whole,
-        replace(reduction, model=reduced),
-        tuple(dict.fromkeys(said)),
-    )
+    misfits = (*_misfits(model, from_table), *_misfits(model, from_command))
+    warnings = tuple(dict.fromkeys((*from_table.warnings, *from_command.warnings, *misfits)))
+    reduction = replace(reduction, model=reduced)
+    return Identification(from_table, from_command, poles, model, superposed, whole, reduction, warnings)
 
 
 def _misfits(model: LinearModel, data: TestData) -> tuple[str, ...]:
-    """A sentence if the model leaves more of a test's channels unexplained than their noise does."""
+    """A sentence if the model leaves much more of a test's channels unexplained than their noise."""
     measured = data.responses[0]
     noise = np.sqrt(np.mean(measured.sigma**2, axis=0) / np.mean(np.abs(measured.response) ** 2, axis=0))
     left = unexplained(model, measured)
@@ -268,31 +199,27 @@ def _superposed(table: TestData, command: TestData, poles: PoleFit, floors: int,
 
 
 def _test_data(
-    runs: tuple[Run, ...], name: str, band: tuple[float, float], options: IdentificationOptions, together: bool
+    runs: tuple[Run, ...], name: str, band: tuple[float, float], options: IdentificationOptions, same_tests: bool
 ) -> TestData:
     """Check the tests of one input and estimate its transfer functions."""
     periods = [find_period(held_input(run, name)) for run in runs]
     periodic = [period is not None for period in periods]
     if any(periodic) and not all(periodic):
         raise AbraceError(f"tests of {name}: {periodic.count(True)} of {len(runs)} are periodic, expected all or none")
-    if together and not all(periodic):
+    if same_tests and not all(periodic):
         raise AbraceError(
             f"{runs[0].source}: table and command in one test with noise, expected two tests, or multisines on odd "
             "lines and on even ones: noise on both leaves each test with the other's leakage"
         )
     recordings = [prepare(run, [name], band, period) for run, period in zip(runs, periods, strict=True)]
-    ready = tuple(recording.run for recording in recordings)
+    prepared = tuple(recording.run for recording in recordings)
     if all(periodic):
-        found = tuple(periodic_response(run, name, band).frequency_response for run in ready)
+        responses = tuple(periodic_response(run, name, band).frequency_response for run in prepared)
     else:
-        found = frequency_responses(ready, [name], band, options.transfer_function)
-    alive = [one for one in runs[0].names if all(one in recording.outputs for recording in recordings)]
+        responses = frequency_responses(prepared, [name], band, options.transfer_function)
+    outputs = [output for output in runs[0].names if all(output in recording.outputs for recording in recordings)]
     warnings = tuple(warning for recording in recordings for warning in recording.warnings)
-    return TestData(name, ready, tuple(one.select(alive) for one in found), all(periodic), warnings)
-
-
-def _with_outputs(data: TestData, outputs: Sequence[str]) -> TestData:
-    return replace(data, responses=tuple(response.select(outputs) for response in data.responses))
+    return TestData(name, prepared, tuple(response.select(outputs) for response in responses), all(periodic), warnings)
 
 
 def _check_options(options: IdentificationOptions) -> None:
@@ -303,7 +230,7 @@ def _check_options(options: IdentificationOptions) -> None:
 
 
 def _check_rig(tables: Sequence[Run], commands: Sequence[Run], options: IdentificationOptions) -> None:
-    """That all tests are there and of one rig, which can be identified."""
+    """That there are tests with both inputs, of one rig with one brace group."""
     for kind, runs in (("table", tables), ("command", commands)):
         if not runs:
             raise AbraceError(f"identification: no {kind} test, expected at least one")

@@ -1,7 +1,7 @@
-"""Recorded tests before identification: checked, the whole piece of a broken one found, trends removed.
+"""Recorded tests before identification: checked, cut to the longest piece without a gap, trends removed.
 
-What makes a test useless is an error that says what was found and what was expected; what costs a channel or a piece of
-the record is said in words and the rest is used.
+What makes a test useless is an error, with what was found and what was expected; what costs a channel or a piece of the
+record is a warning, and the rest is used.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ LEAST_SECONDS = 60.0
 """Shorter tests do not resolve modes of 1 % damping near 1 Hz."""
 
 REST = 0.05
-"""An input at rest moves less than this share of what it moves when it is excited: sensor noise alone."""
+"""Greatest rms of an input at rest (sensor noise), as a share of its rms where it is excited."""
 
 CLIPPED_SHARE = 1e-3
-"""Greatest share of an input's samples at its extremes: noise cut at 3.3 standard deviations, of which 1 % is lost."""
+"""Greatest share of an input's samples at its extremes: that of noise clipped at 3.3 standard deviations."""
 
 CLIPPED_COUNT = 10
-"""Samples at one extreme value that unclipped noise hardly ever has."""
+"""Samples at one extreme value from which on a signal counts as clipped; unclipped noise hardly ever has as many."""
 
 STUCK_SHARE = 0.1
-"""Share of a record for which a live channel does not keep one value; the rest at its ends is shorter."""
+"""Share of a record for which a channel that keeps one value counts as stuck; the rest at its ends is shorter."""
 
 FALSE_ALARM = 1e-3
-"""Probability that a channel of pure noise passes as a response."""
+"""Probability that a channel of pure noise is accepted as a response."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Recording:
     left_out
         Channels that are no response, with the reason.
     warnings
-        What else a reader should know, one sentence each.
+        On the test and its channels, one sentence each.
     """
 
     run: Run
@@ -69,13 +69,7 @@ class Recording:
         return tuple(name for name in self.run.names if name not in self.left_out)
 
 
-def prepare(
-    run: Run,
-    inputs: Sequence[str],
-    band: tuple[float, float],
-    period: int | None = None,
-    least_seconds: float = LEAST_SECONDS,
-) -> Recording:
+def prepare(run: Run, inputs: Sequence[str], band: tuple[float, float], period: int | None = None) -> Recording:
     """Check a test and make it ready: the longest whole piece, trends removed.
 
     Parameters
@@ -89,8 +83,6 @@ def prepare(
     period
         Samples in a period of a periodic excitation. Of noise a straight line is removed; of a periodic response the
         mean alone, since a line fitted to it would follow the periods.
-    least_seconds
-        How long a whole piece must be.
 
     Raises
     ------
@@ -98,7 +90,7 @@ def prepare(
         If there is no whole piece long enough, a value is not finite, an input is not excited throughout the band or
         clipped, or no channel is a response.
     """
-    whole, warnings = longest_piece(run, least_seconds)
+    whole, warnings = longest_piece(run)
     for name in dict.fromkeys((*whole.names, signals.GROUND, *whole.command_names)):
         values = whole.channels([name])[:, 0]
         bad = np.flatnonzero(~np.isfinite(values))
@@ -131,28 +123,26 @@ def prepare(
     return Recording(_without_trend(whole, "linear" if period is None else "constant"), left_out, warnings)
 
 
-def longest_piece(run: Run, least_seconds: float = LEAST_SECONDS) -> tuple[Run, tuple[str, ...]]:
+def longest_piece(run: Run) -> tuple[Run, tuple[str, ...]]:
     """The longest piece of a test with consecutive sample numbers, and a warning if that is not all of it.
 
     Parameters
     ----------
     run
         The test.
-    least_seconds
-        How long the piece must be.
 
     Raises
     ------
     AbraceError
-        If it is shorter.
+        If it is shorter than LEAST_SECONDS.
     """
     gaps = breaks(run.sequence)
     edges = np.concatenate([[0], gaps + 1, [len(run.sequence)]])
     longest = int(np.argmax(np.diff(edges)))
     first, last = int(edges[longest]), int(edges[longest + 1])
-    seconds, expected = (last - first) * run.sample_period, f"expected at least {least_seconds:g} s"
+    seconds, expected = (last - first) * run.sample_period, f"expected at least {LEAST_SECONDS:g} s"
     if not len(gaps):
-        if seconds < least_seconds:
+        if seconds < LEAST_SECONDS:
             raise AbraceError(f"{run.source}: {seconds:g} s, {expected}")
         return run, ()
     after, missing = run.sequence[gaps[0]], int(run.sequence[gaps[0] + 1]) - int(run.sequence[gaps[0]]) - 1
@@ -161,7 +151,7 @@ def longest_piece(run: Run, least_seconds: float = LEAST_SECONDS) -> tuple[Run, 
         found += f" ({missing} samples, {missing * run.sample_period:g} s)"
     if len(gaps) > 1:
         found += f" and {len(gaps) - 1} more"
-    if seconds < least_seconds:
+    if seconds < LEAST_SECONDS:
         raise AbraceError(f"{run.source}: {found}; the longest whole piece has {seconds:g} s, {expected}")
     piece = replace(
         run,

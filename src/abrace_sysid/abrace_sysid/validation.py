@@ -3,9 +3,9 @@
 The model is driven by the recorded ground acceleration alone where a controller closes the loop, and by the recorded
 command as well where none does.
 
-A record has sensor noise, a simulation has none. The noise's power is estimated from the record itself, from the top
-fifth of its spectrum, where the rig does not answer and the noise, taken as white, stands alone. Where an anti-alias
-filter has cut that part the estimate is too low and the model's error comes out too large, never too small.
+A record has sensor noise, a simulation has none. The noise's power is estimated from the top fifth of the record's
+spectrum, where the rig does not respond and only noise, assumed white, is left. Where an anti-alias filter has cut that
+part the estimate is too low and the model's error comes out too large, never too small.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 from scipy import fft
 
 from abrace_core import signals
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.response import PeakRms, peak_rms_of
 from abrace_core.sequence import breaks
-from abrace_core.simulation import discretize, simulate, simulate_closed_loop
-from abrace_sysid.models.realization import HOLDS
+from abrace_core.simulation import simulate, simulate_closed_loop
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -56,24 +56,26 @@ class Comparison:
     simulated: NDArray[np.float64]
 
     def correlation(self) -> dict[str, float]:
-        """Correlation coefficient of each channel; channels that never move (a zero command) are left out."""
-        return {name: float(np.corrcoef(self.measured[:, j], self.simulated[:, j])[0, 1]) for j, name in self._moving()}
+        """Correlation coefficient of each channel; constant channels (a zero command) are left out."""
+        return {
+            name: float(np.corrcoef(self.measured[:, j], self.simulated[:, j])[0, 1]) for j, name in self._varying()
+        }
 
     def normalised_rms_error(self) -> dict[str, float]:
-        """Rms of simulated minus measured over rms of measured; channels that never move are left out."""
+        """Rms of simulated minus measured over rms of measured; constant channels are left out."""
         return self._error_over_size(np.zeros(len(self.names)))
 
     def noise_free_error(self) -> dict[str, float]:
-        """`normalised_rms_error` with the measurement noise's power taken from the difference's, never below zero.
+        """`normalised_rms_error` with the measurement noise's power subtracted from the difference's, never below zero.
 
-        Of the measured rms nothing is taken: it is the same denominator.
+        The denominator is the same: nothing is subtracted from the measured rms.
         """
         return self._error_over_size(self.noise())
 
     def noise(self) -> NDArray[np.float64]:
-        """(names,) standard deviation of each channel's sensor noise, as the record shows it; 0 for commands.
+        """(names,) standard deviation of each channel's sensor noise, estimated from the record; 0 for commands.
 
-        From the median power above NOISE_BAND, Hann window: neither hum nor the record's ends weigh in it.
+        From the median power above NOISE_BAND, Hann window: hum and the record's ends do not affect it.
         """
         window = np.hanning(len(self.measured))[:, None]
         power = np.abs(fft.rfft(self.measured * window, axis=0)) ** 2 / np.sum(window**2)
@@ -86,7 +88,7 @@ class Comparison:
         measured, simulated = self.measured_peak_rms(), self.simulated_peak_rms()
         ratios = [
             found / true
-            for _, name in self._moving()
+            for _, name in self._varying()
             for found, true in zip(simulated[name], measured[name], strict=True)
         ]
         return float(np.mean(np.abs(np.array(ratios) - 1)))
@@ -102,9 +104,9 @@ class Comparison:
     def _error_over_size(self, noise: NDArray[np.float64]) -> dict[str, float]:
         power = np.mean((self.simulated - self.measured) ** 2, axis=0) - noise**2
         error, size = np.sqrt(np.maximum(power, 0.0)), np.sqrt(np.mean(self.measured**2, axis=0))
-        return {name: float(error[j] / size[j]) for j, name in self._moving()}
+        return {name: float(error[j] / size[j]) for j, name in self._varying()}
 
-    def _moving(self) -> list[tuple[int, str]]:
+    def _varying(self) -> list[tuple[int, str]]:
         return [
             (j, name)
             for j, name in enumerate(self.names)
@@ -119,7 +121,7 @@ def compare(
     capacity: NDArray[np.float64],
     correction: NDArray[np.float64] | None = None,
 ) -> Comparison:
-    """Simulate a recorded test and set it beside the record.
+    """Simulate a recorded test, for comparison with the record.
 
     Parameters
     ----------
@@ -147,7 +149,7 @@ def compare(
         raise AbraceError(f"{run.source}: expected two or more consecutive samples without a gap")
     if len(capacity) != run.groups:
         raise AbraceError(f"{run.source}: {len(capacity)} capacities, expected one for each of {run.groups} commands")
-    sampled = discretize(model.select(run.names, wanted), run.sample_period, HOLDS)
+    sampled = discretize(model.select(run.names, wanted), run.sample_period)
     if controller is None:
         command = np.clip(run.command_from_here, -capacity, capacity)
         simulated = simulate(sampled, np.column_stack([run.ground_acceleration, command]))

@@ -41,7 +41,7 @@ from abrace_core.progress import Progress
 from abrace_plant.records.files import record_file
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.published import PAPER_POLES
-from abrace_sysid import figures
+from abrace_sysid.figures.identification import pole_chart
 
 if TYPE_CHECKING:
     import pydantic
@@ -259,7 +259,7 @@ class Runner:
         reference = {"rig": own[np.abs(own) < 1.2 * max(pair["frequency"] for pair in identified["command"])]}
         if self.rig.name == PAPER_RIG:
             reference["paper, A1 and A2"] = np.concatenate([PAPER_POLES["table"], PAPER_POLES["command"]])
-        chart = figures.pole_chart({f"{test} test": _complex(found) for test, found in identified.items()}, reference)
+        chart = pole_chart({f"{test} test": _complex(found) for test, found in identified.items()}, reference)
         save_figure(chart, self.results / step / "poles.png")
 
     def facts(self, name: str, test: RigTest, seed: int) -> dict[str, str]:

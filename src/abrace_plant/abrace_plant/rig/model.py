@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core import signals
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_core.simulation import discretize
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -237,4 +237,4 @@ class Rig:
 
     def discrete_model(self) -> LinearModel:
         """The exact discrete model at the rig's sample rate: commands held, ground acceleration linear in between."""
-        return discretize(self.model, 1 / self.sample_rate, {signals.GROUND: "first"})
+        return discretize(self.model, 1 / self.sample_rate)

@@ -1,1 +1,1 @@
-"""Transfer functions and spectra to poles and residues, with their certainty."""
+"""Transfer functions and spectra to poles, with their confidence intervals."""

@@ -9,7 +9,7 @@ orthogonal factorisation, s in units of the highest frequency and columns scaled
 coefficients without squaring the condition number (harmless at order 12 up to 190 rad/s).
 
 Eq. (1) weights the error of g_j by |A(i w_j)|^2, which no fixed lambda undoes. The Sanathanan-Koerner iterations do, by
-dividing lambda by the last |A|^2 until A stands still. `common_denominator` does it for several outputs at once.
+dividing lambda by the last |A|^2 until A no longer changes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 RELATIVE_ERROR = 0.01
-"""Share of |g| that counts as error of a line beside its standard deviation: what the model class cannot follow."""
+"""Share of |g| that is added to a line's standard deviation as error of the model class."""
 
 ITERATIONS = 50
 CONVERGED = 1e-8
@@ -149,7 +149,7 @@ def fit_sanathanan_koerner(
 
 
 def require_stable(poles: NDArray[np.complex128], where: str) -> NDArray[np.complex128]:
-    """The `poles`, if all of them are stable; `where` says in an error whose they are.
+    """The `poles`, if all of them are stable; an error begins with `where` they come from.
 
     Raises
     ------
@@ -161,6 +161,6 @@ def require_stable(poles: NDArray[np.complex128], where: str) -> NDArray[np.comp
         named = ", ".join(f"{p.real:+.4g}{p.imag:+.4g}i" for p in unstable if p.imag >= 0)
         raise AbraceError(
             f"{where}: unstable poles {named} rad/s, expected stable ones; "
-            "a longer or stronger test, a narrower band or a lower order may mend it"
+            "a longer or stronger test, a narrower band or a lower order may help"
         )
     return poles

@@ -11,10 +11,10 @@ projection, Golub and Pereyra 1973, in Kaufman's form of 1975), and Levenberg-Ma
 The cost of a step grows linearly with the lines and hardly with the channels.
 
 The noise V is independent from line to line and of one level in each channel, unknown, concentrated out of the
-likelihood: what is minimised is the sum over channels of n log(residual sum of squares). From channel to channel it is
-correlated: what the measured input's noise becomes through the structure is common to all. The covariance of the poles
-allows for that, and for coloured noise, without a model of them, being summed from each line's own residuals
-(Huber 1967, White 1980; a line is a cluster).
+likelihood: the sum over channels of n log(residual sum of squares) is minimised. From channel to channel it is
+correlated, since the measured input's noise passes through the structure to all of them. The covariance of the poles
+allows for that, and for coloured noise, without a model of them: it is summed from each line's own residuals (Huber
+1967, White 1980; a line is a cluster).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from scipy import linalg
 
 from abrace_core.errors import AbraceError
 from abrace_sysid.fitting.curve_fit import require_stable
-from abrace_sysid.fitting.pole_estimate import Numerators, PoleEstimate, columns_of
+from abrace_sysid.fitting.pole_estimate import PoleEstimate, columns_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,19 +42,19 @@ CONVERGED = 0.01
 """A step that small against the standard deviations of the poles ends the iterations."""
 
 FASTEST = 20.0
-"""Poles that decay (or grow) by more than exp(-20) from sample to sample are no poles of a sampled rig."""
+"""Greatest decay (or growth) of a pole within a sample, as exponent: faster ones are no poles of a sampled rig."""
 
 
 def fit_poles(observations: Sequence[Observation], start: NDArray[np.complex128]) -> PoleEstimate:
-    """The poles that make tests most likely, the same poles in all of them, with covariance and numerators.
+    """The poles that make tests most likely, the same poles in all of them, with their covariance.
 
     Parameters
     ----------
     observations
         The tests.
     start
-        Poles to begin with [rad/s], of each pair the one above the real axis, and real ones; they keep their order.
-        Within a few half-power bandwidths they are found: `vector_fitting` and Sanathanan-Koerner iterations give such.
+        Starting poles [rad/s], of each pair the one above the real axis, and real ones; they keep their order.
+        They must be right within a few half-power bandwidths, as those of `vector_fitting` are.
 
     Raises
     ------
@@ -68,61 +68,59 @@ def fit_poles(observations: Sequence[Observation], start: NDArray[np.complex128]
         if not set(observation.poles or ()) <= set(range(len(poles))):
             raise AbraceError(f"{observation.source}: poles {observation.poles}, expected within 0 to {len(poles) - 1}")
     where = ", ".join(dict.fromkeys(observation.source for observation in observations))
-    place = _Place.at(observations, poles)
-    damping, converged, iterations = 1e-3, place is None, 0
-    while place is not None and not converged and iterations < ITERATIONS:
+    likelihood = _Likelihood.at(observations, poles)
+    damping, converged, iterations = 1e-3, likelihood is None, 0
+    while likelihood is not None and not converged and iterations < ITERATIONS:
         iterations += 1
-        step = place.step(damping)
-        small = place.size(step) < CONVERGED
-        after = _Place.at(observations, _moved(place.poles, step))
-        if after is not None and after.cost < place.cost:
-            place, damping, converged = after, damping / 10, small
+        step = likelihood.step(damping)
+        small = likelihood.size(step) < CONVERGED
+        after = _Likelihood.at(observations, _moved(likelihood.poles, step))
+        if after is not None and after.cost < likelihood.cost:
+            likelihood, damping, converged = after, damping / 10, small
         else:
             damping, converged = 10 * max(damping, 1e-5), small and damping < 1e-2
-    if place is None or not converged:
+    if likelihood is None or not converged:
         raise AbraceError(
             f"{where}: no maximum of the likelihood found in {iterations} steps from the poles {_named(poles)} rad/s; "
-            "other starting poles, fewer poles or a narrower band may mend it"
+            "other starting poles, fewer poles or a narrower band may help"
         )
-    require_stable(place.poles, where)
-    numerators = tuple(part.numerators() for part in place.parts)
-    observed = sum(2 * part.observation.measured.size for part in place.parts)
-    unknowns = len(place.gradient) + sum(part.coefficients.size + len(part.power) for part in place.parts)
-    return PoleEstimate(place.poles, place.covariance(), numerators, place.cost, observed, unknowns, iterations)
+    require_stable(likelihood.poles, where)
+    observed = sum(test.residual.size for test in likelihood.tests)
+    unknowns = len(likelihood.gradient) + sum(test.unknowns for test in likelihood.tests)
+    return PoleEstimate(likelihood.poles, likelihood.covariance(), likelihood.cost, observed, unknowns, iterations)
 
 
 @dataclass(frozen=True)
-class _Part:
-    """One test about one set of poles. Complex lines are stacked as real ones above imaginary ones: rows = 2 lines.
+class _TestLikelihood:
+    """The likelihood of one test near one set of poles, everything but the poles projected out.
 
-    `slopes` (rows, states) are the derivatives of the basis, projected off it; `movers` (channels, states, parameters)
-    combine them to the derivatives of each channel. `leverage` (lines,) is the share of a line's noise that the
-    coefficients follow.
+    Complex lines are stacked as real ones above imaginary ones: rows = 2 lines. Of each channel `residual` (rows,
+    channels) is left over, `power` (channels,) its mean square. `slopes` (rows, states) are the derivatives of the
+    basis with the poles, projected off it; `combinations` (channels, states, parameters) make of them the derivatives
+    of each channel. `leverage` (lines,) is the share of a line's noise that the coefficients follow, `unknowns` the
+    number of coefficients and noise levels.
     """
 
-    observation: Observation
-    seen: tuple[int, ...]
-    coefficients: NDArray[np.float64]
     residual: NDArray[np.float64]
     power: NDArray[np.float64]
     slopes: NDArray[np.float64]
-    movers: NDArray[np.float64]
-    widths: tuple[int, ...]
+    combinations: NDArray[np.float64]
     leverage: NDArray[np.float64]
+    unknowns: int
 
     @classmethod
-    def at(cls, observation: Observation, poles: NDArray[np.complex128]) -> _Part | None:
+    def at(cls, observation: Observation, poles: NDArray[np.complex128]) -> _TestLikelihood | None:
         """None where the basis is degenerate: two poles that coincide."""
-        seen = observation.poles or tuple(range(len(poles)))
-        states, moving = _basis(observation, poles[list(seen)])
+        excited = observation.poles or tuple(range(len(poles)))
+        states, derivatives = _basis(observation, poles[list(excited)])
         lines, columns = states.shape
         parameters = columns_of(poles)
         if 2 * lines <= columns + parameters[-1].stop:
             unknowns = columns + parameters[-1].stop
             raise AbraceError(f"{observation.source}: {lines} frequency lines, expected more than {unknowns // 2}")
-        weight = 1 / observation.level[:, None]
+        weight = 1 / observation.noise_level[:, None]
         measured = _stacked(observation.measured * weight)
-        basis, slopes = _stacked(states * weight), _stacked(moving * weight)
+        basis, slopes = _stacked(states * weight), _stacked(derivatives * weight)
         scale = np.linalg.norm(basis, axis=0)
         q, r = np.linalg.qr(basis / np.where(scale > 0, scale, 1.0))
         diagonal = np.abs(np.diag(r))
@@ -134,23 +132,22 @@ class _Part:
         slopes = slopes - q @ (q.T @ slopes)
         # of a pair, x1 and x2 have the derivatives s1 and s2 with the real part, and s2 and -s1 with the imaginary one
         channels = measured.shape[1]
-        movers = np.zeros((channels, slopes.shape[1], parameters[-1].stop))
+        combinations = np.zeros((channels, slopes.shape[1], parameters[-1].stop))
         column = 0
-        for i in seen:
+        for i in excited:
             first = parameters[i].start
             for _ in range(_drives(observation)):
                 if poles[i].imag > 0:
                     one, two = coefficients[column], coefficients[column + 1]
-                    movers[:, column, first], movers[:, column + 1, first] = one, two
-                    movers[:, column, first + 1], movers[:, column + 1, first + 1] = -two, one
+                    combinations[:, column, first], combinations[:, column + 1, first] = one, two
+                    combinations[:, column, first + 1], combinations[:, column + 1, first + 1] = -two, one
                     column += 2
                 else:
-                    movers[:, column, first] = coefficients[column]
+                    combinations[:, column, first] = coefficients[column]
                     column += 1
         power = np.sum(residual**2, axis=0) / (2 * lines)
         leverage = np.sum(q**2, axis=1).reshape(2, lines).mean(axis=0)
-        widths = tuple(2 if poles[i].imag > 0 else 1 for i in seen)
-        return cls(observation, seen, coefficients, residual, power, slopes, movers, widths, leverage)
+        return cls(residual, power, slopes, combinations, leverage, coefficients.size + channels)
 
     @property
     def cost(self) -> float:
@@ -160,66 +157,52 @@ class _Part:
 
     def normal(self) -> NDArray[np.float64]:
         """(parameters, parameters) sum over channels of J^T J over the noise power."""
-        gram = self.slopes.T @ self.slopes
-        return np.asarray(np.einsum("cip,ij,cjq,c->pq", self.movers, gram, self.movers, 1 / self.power, optimize=True))
+        gram, combined = self.slopes.T @ self.slopes, self.combinations
+        return np.asarray(np.einsum("cip,ij,cjq,c->pq", combined, gram, combined, 1 / self.power, optimize=True))
 
     def gradient(self) -> NDArray[np.float64]:
         """(parameters,) sum over channels of J^T r over the noise power."""
-        return np.asarray(np.einsum("cip,ic->p", self.movers, self.slopes.T @ self.residual / self.power))
+        return np.asarray(np.einsum("cip,ic->p", self.combinations, self.slopes.T @ self.residual / self.power))
 
     def scatter(self) -> NDArray[np.float64]:
         """(parameters, parameters) covariance of the gradient, summed from the lines' own residuals."""
         lines = len(self.residual) // 2
-        score = np.zeros((lines, self.movers.shape[2]))
-        for mover, residual, power in zip(self.movers, self.residual.T, self.power, strict=True):
-            single = (self.slopes @ mover) * (residual / power)[:, None]
+        score = np.zeros((lines, self.combinations.shape[2]))
+        for combination, residual, power in zip(self.combinations, self.residual.T, self.power, strict=True):
+            single = (self.slopes @ combination) * (residual / power)[:, None]
             score += single[:lines] + single[lines:]
-        # what the fit has taken away of a line's residual is given back (MacKinnon and White 1985, HC3)
+        # corrected for the leverage of each line on its own fit (MacKinnon and White 1985, HC3)
         score /= (1 - np.minimum(self.leverage, 0.9))[:, None]
         return score.T @ score
 
-    def numerators(self) -> Numerators:
-        """The coefficients as rows of C and D: their columns run over poles, drives, and states of the pole."""
-        inputs, drives = len(self.observation.inputs), _drives(self.observation)
-        states: list[list[NDArray[np.float64]]] = [[] for _ in range(drives)]
-        column = 0
-        for width in self.widths:
-            for drive in states:
-                drive.append(self.coefficients[column : column + width])
-                column += width
-        c = np.array([np.vstack(drive).T for drive in states[:inputs]])
-        residual = np.sqrt(2 * self.power)
-        names = self.observation.inputs, self.observation.outputs
-        return Numerators(*names, self.seen, c, self.coefficients[-inputs:], residual)
-
 
 @dataclass(frozen=True)
-class _Place:
-    """The likelihood about one set of poles, to second order."""
+class _Likelihood:
+    """The likelihood of all tests near one set of poles, to second order."""
 
     poles: NDArray[np.complex128]
-    parts: tuple[_Part, ...]
+    tests: tuple[_TestLikelihood, ...]
     normal: NDArray[np.float64]
     gradient: NDArray[np.float64]
     cost: float
 
     @classmethod
-    def at(cls, observations: Sequence[Observation], poles: NDArray[np.complex128]) -> _Place | None:
-        """None where there is no likelihood: poles that coincide or are too fast, a pair that crosses the real axis."""
-        turns = poles * observations[0].samplings[0].sample_period
-        if not ((np.abs(turns.real) < FASTEST) & (np.abs(turns.imag) < np.pi) & (poles != 0)).all():
+    def at(cls, observations: Sequence[Observation], poles: NDArray[np.complex128]) -> _Likelihood | None:
+        """None if poles coincide or are too fast, or a pair crosses the real axis: the likelihood is not defined."""
+        exponents = poles * observations[0].samplings[0].sample_period
+        if not ((np.abs(exponents.real) < FASTEST) & (np.abs(exponents.imag) < np.pi) & (poles != 0)).all():
             return None
-        parts = []
+        tests = []
         for observation in observations:
-            part = _Part.at(observation, poles)
-            if part is None:
+            test = _TestLikelihood.at(observation, poles)
+            if test is None:
                 return None
-            parts.append(part)
-        normal = np.sum([part.normal() for part in parts], axis=0)
+            tests.append(test)
+        normal = np.sum([test.normal() for test in tests], axis=0)
         if not np.diag(normal).min() > 0:
             return None
-        gradient = np.sum([part.gradient() for part in parts], axis=0)
-        return cls(poles, tuple(parts), normal, gradient, sum(part.cost for part in parts))
+        gradient = np.sum([test.gradient() for test in tests], axis=0)
+        return cls(poles, tuple(tests), normal, gradient, sum(test.cost for test in tests))
 
     def step(self, damping: float) -> NDArray[np.float64]:
         """Levenberg-Marquardt step of the poles' parts, in units of each part's own curvature."""
@@ -237,13 +220,13 @@ class _Place:
         """Of the poles' parts."""
         unit = 1 / np.sqrt(np.diag(self.normal))
         inverse = np.linalg.inv(self.normal * np.outer(unit, unit)) * np.outer(unit, unit)
-        scatter = np.sum([part.scatter() for part in self.parts], axis=0)
+        scatter = np.sum([test.scatter() for test in self.tests], axis=0)
         return np.asarray(inverse @ scatter @ inverse)
 
 
 def _drives(observation: Observation) -> int:
-    """What drives each pole: the inputs, and the record's ends."""
-    return len(observation.inputs) + observation.transient
+    """How many excitations each pole has: the inputs, and the transient."""
+    return len(observation.samplings) + observation.transient
 
 
 def _basis(
@@ -267,7 +250,7 @@ def _basis(
             else:
                 for columns, single in zip((basis, slopes), function(pole.real, z), strict=True):
                     columns.append(drive * single)
-    basis += [sampling.direct(z) * excitation for sampling, excitation in inputs]
+    basis += [excitation for _, excitation in inputs]
     return np.column_stack(basis), np.column_stack(slopes)
 
 

@@ -1,4 +1,4 @@
-"""The number of poles from data: fits of several orders compared by information criteria."""
+"""The number of poles from data: fits of several orders compared by description length."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class OrderTrial:
     pairs, reals
         Of poles.
     estimate
-        What was found; its `aic` and `mdl` compare orders.
+        Of the poles; None if the fit failed.
     reason
-        Why there is none, in words.
+        Why it failed.
     """
 
     pairs: int

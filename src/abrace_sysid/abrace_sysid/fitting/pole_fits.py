@@ -4,9 +4,9 @@ maximum_likelihood  every channel, leakage and the servo's real poles in the mod
                     of the table test from data, by description length
 vector_fitting      common poles of all channels of the transfer functions
 sk                  Sanathanan-Koerner iterations on the top floor's acceleration, weighted by its uncertainty
-paper               Eqs. (1) and (2) on the top floor's acceleration, unweighted, the sign in Eq. (1) mended
+paper               Eqs. (1) and (2) on the top floor's acceleration, unweighted, the sign in Eq. (1) corrected
 
-The last two fit a ratio of polynomials of s; hold and servo's lag, which are none, are taken out before.
+The last two fit a ratio of polynomials of s. Hold and servo's lag are not such ratios and are divided out before.
 """
 
 from __future__ import annotations
@@ -21,27 +21,26 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
 from abrace_sysid.fitting.curve_fit import fit_rational, fit_sanathanan_koerner, require_stable, uncertainty_weights
 from abrace_sysid.fitting.maximum_likelihood import fit_poles
-from abrace_sysid.fitting.observation import Observation, of_response, of_spectra
+from abrace_sysid.fitting.observation import Observation
 from abrace_sysid.fitting.order_selection import best_order, try_orders
 from abrace_sysid.fitting.pole_estimate import PoleEstimate, PoleInterval
+from abrace_sysid.fitting.slow_pole import slow_real_pole
 from abrace_sysid.fitting.vector_fitting import modes_of, vector_fitting
-from abrace_sysid.models.consistent import slow_real_pole
-from abrace_sysid.spectra.fourier import of_run
+from abrace_sysid.spectra.fourier import spectra_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from abrace_sysid.identification import IdentificationOptions, TestData
+    from abrace_sysid.fitting.options import IdentificationOptions
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
-
-FIT_METHODS = ("maximum_likelihood", "vector_fitting", "sk", "paper")
+    from abrace_sysid.spectra.measured_tests import TestData
 
 
 @dataclass(frozen=True)
 class PoleFit:
-    """What a method found.
+    """The poles by one method.
 
     Parameters
     ----------
@@ -52,7 +51,7 @@ class PoleFit:
     of_model
         One set for both inputs, with the servo's slow real pole, for the consistent model.
     table_pairs, command_pairs, common_pairs
-        Frequency and damping of the pairs with their standard deviations; NaN where the method tells none.
+        Frequency and damping of the pairs with their standard deviations; NaN where the method gives none.
     """
 
     table: NDArray[np.complex128]
@@ -81,7 +80,7 @@ def fit_poles_of(
     options
         `fit`, `command_order` and `servo_lag` are used.
     progress
-        Called with what begins and the fraction done.
+        Called with the step that begins and the fraction done.
 
     Raises
     ------
@@ -113,16 +112,16 @@ def _maximum_likelihood(
     """Each test alone, then both with one set of poles: those of the command test, of which the table shows some."""
     top, highest = (2 * np.pi * band[1] for band in (options.table_band, options.command_band))
     progress("maximum likelihood, table", 0.5)
-    shaken = _observations(table)
+    from_table = _observations(table)
     orders = [(pairs, reals) for pairs in (floors, floors + 1) for reals in (0, 1)]
-    trials = try_orders(shaken, table.responses[0], orders)
+    trials = try_orders(from_table, table.responses[0], orders)
     of_table = best_order(trials)
     _require_modes(of_table, floors, table.source)
     progress("maximum likelihood, command", 0.6)
-    pushed, pairs = _observations(command), options.command_order // 2
-    trials = try_orders(pushed, command.responses[0], [(pairs, 2)])
+    from_command, pairs = _observations(command), options.command_order // 2
+    trials = try_orders(from_command, command.responses[0], [(pairs, 2)])
     if trials[0].estimate is None:  # a servo without a slow pole within the band, or without lag
-        trials += try_orders(pushed, command.responses[0], [(pairs, 1), (pairs, 0)])
+        trials += try_orders(from_command, command.responses[0], [(pairs, 1), (pairs, 0)])
     of_command = best_order(trials)
     _require_modes(of_command, floors, command.source)
 
@@ -133,7 +132,7 @@ def _maximum_likelihood(
     lag = lag[np.abs(lag) > highest][-1:]
     shown = tuple(i for i, pole in enumerate([*modes, *slow]) if abs(pole) <= top)
     both = np.concatenate([modes, slow, lag])
-    of_both = fit_poles([*(replace(one, poles=shown) for one in shaken), *pushed], both)
+    of_both = fit_poles([*(replace(one, poles=shown) for one in from_table), *from_command], both)
     reals = _reals(of_both.poles)
     return PoleFit(
         _with_conjugates(_upper(of_table.poles)[:floors]),
@@ -146,13 +145,14 @@ def _maximum_likelihood(
 
 
 def _observations(data: TestData) -> list[Observation]:
-    """What the likelihood sees of each test: spectra with their leakage, or the response of a periodic one."""
+    """Of each test the spectra with their leakage, or the response of a periodic one."""
     if data.periodic:
-        return [of_response(one, run.source) for one, run in zip(data.responses, data.runs, strict=True)]
+        pairs = zip(data.responses, data.runs, strict=True)
+        return [Observation.of_response(response, run.source) for response, run in pairs]
     omega = data.responses[0].omega
     band = (float(omega[0] / (2 * np.pi)), float(omega[-1] / (2 * np.pi)))
-    spectra = [of_run(run, [data.input], band).select(data.outputs) for run in data.runs]
-    return [of_spectra(one, run.source) for one, run in zip(spectra, data.runs, strict=True)]
+    spectra = [spectra_of(run, [data.input], band).select(data.outputs) for run in data.runs]
+    return [Observation.of_spectra(one, run.source) for one, run in zip(spectra, data.runs, strict=True)]
 
 
 def _by_curve_fit(data: TestData, order: int, options: IdentificationOptions, floors: int) -> NDArray[np.complex128]:
@@ -160,7 +160,7 @@ def _by_curve_fit(data: TestData, order: int, options: IdentificationOptions, fl
     measured = data.responses[0]
     where = f"{data.source}: {options.fit} of {data.input}, order {order}"
     if options.fit == "vector_fitting":
-        # beside the modes the servo's real poles show: the slow one and, from the table, a local mode; the lag
+        # and the servo's slow pole with, from the table, a local mode; from the command, the lag
         fit = vector_fitting(measured, order + (3 if data.input == signals.GROUND else 2))
         poles = modes_of(fit, measured)[: order // 2]
     else:
@@ -178,9 +178,8 @@ def _ratio_of_polynomials(
     accelerations = [name for name in measured.outputs if name.startswith("a")]
     if not accelerations:
         raise AbraceError(f"{options.fit} of {measured.input}: no acceleration among the channels, expected one")
-    shaken = measured.input == signals.GROUND
-    plain = measured.without_hold("first") if shaken else measured.without_hold("zero", options.servo_lag)
-    one = plain.select([accelerations[-1]])
+    delay = 0.0 if measured.input == signals.GROUND else options.servo_lag
+    one = measured.without_hold(delay).select([accelerations[-1]])
     g, sigma = one.response[:, 0], one.sigma[:, 0]
     if options.fit == "paper":
         return fit_rational(one.omega, g, order, order).poles()

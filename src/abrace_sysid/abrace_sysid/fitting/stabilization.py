@@ -23,26 +23,13 @@ if TYPE_CHECKING:
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 LINES = 1500
-"""Frequency lines that are fitted at most: enough for where poles are."""
+"""Greatest number of frequency lines that are fitted: enough to locate poles."""
 
 ITERATIONS = 10
 
-
-@dataclass(frozen=True)
-class Tolerances:
-    """How much a pole may differ from the like one of the order below and count as the same.
-
-    Parameters
-    ----------
-    frequency, damping
-        Relative.
-    shape
-        1 less the modal assurance criterion.
-    """
-
-    frequency: float = 0.005
-    damping: float = 0.05
-    shape: float = 0.02
+FREQUENCY, DAMPING, SHAPE = 0.005, 0.05, 0.02
+"""Below these differences from the nearest pole of the order below a pole counts as the same: relative in frequency
+and damping ratio, 1 less the modal assurance criterion in shape."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +46,6 @@ class OrderPoles:
         (poles, channels) complex.
     same_frequency, same_damping, same_shape
         (poles,) whether the order below has a pole like it.
-    error
-        Root mean square error of the fit in standard deviations.
     """
 
     order: int
@@ -70,7 +55,6 @@ class OrderPoles:
     same_frequency: NDArray[np.bool_]
     same_damping: NDArray[np.bool_]
     same_shape: NDArray[np.bool_]
-    error: float
 
     @property
     def same(self) -> NDArray[np.bool_]:
@@ -88,35 +72,13 @@ class Stabilization:
         What was fitted.
     orders
         Lowest order first.
-    tolerances
-        What counted as the same.
     """
 
     measured: FrequencyResponse
     orders: tuple[OrderPoles, ...]
-    tolerances: Tolerances
-
-    def stable_poles(self, last: int = 4) -> list[tuple[float, float]]:
-        """(frequency [rad/s], damping ratio) of the poles of the highest order that stay the same.
-
-        Parameters
-        ----------
-        last
-            Orders, the highest ones, at each of which the pole must be the same as at the order below.
-        """
-        found = []
-        for frequency, damping in zip(self.orders[-1].frequency, self.orders[-1].damping, strict=True):
-            near = (
-                np.abs(poles.frequency / frequency - 1) < self.tolerances.frequency for poles in self.orders[-last:]
-            )
-            if all((close & poles.same).any() for close, poles in zip(near, self.orders[-last:], strict=True)):
-                found.append((float(frequency), float(damping)))
-        return found
 
 
-def stabilization(
-    measured: FrequencyResponse, orders: Sequence[int] = tuple(range(2, 21)), tolerances: Tolerances | None = None
-) -> Stabilization:
+def stabilization(measured: FrequencyResponse, orders: Sequence[int] = tuple(range(2, 21))) -> Stabilization:
     """Fit common poles of all channels at each order.
 
     Parameters
@@ -125,8 +87,6 @@ def stabilization(
         Hold and delays included.
     orders
         Numbers of poles, rising.
-    tolerances
-        What counts as the same.
 
     Raises
     ------
@@ -135,7 +95,6 @@ def stabilization(
     """
     if len(orders) < 2 or (np.diff(orders) <= 0).any():
         raise AbraceError(f"stabilisation diagram: orders {tuple(orders)}, expected two or more that rise")
-    tolerances = tolerances or Tolerances()
     fewer = thinned(measured, LINES)
     found: list[OrderPoles] = []
     for order in orders:
@@ -144,9 +103,9 @@ def stabilization(
         within = (poles.imag > measured.omega[0]) & (poles.imag < measured.omega[-1]) & (poles.real < 0)
         chosen = np.flatnonzero(within & (-poles.real < HEAVY_DAMPING * np.abs(poles)))
         frequency, damping = np.abs(poles[chosen]), -poles[chosen].real / np.abs(poles[chosen])
-        marks = _marks(frequency, damping, fit.shapes[chosen], found[-1] if found else None, tolerances)
-        found.append(OrderPoles(order, frequency, damping, fit.shapes[chosen], *marks, fit.error))
-    return Stabilization(measured, tuple(found), tolerances)
+        same = _same(frequency, damping, fit.shapes[chosen], found[-1] if found else None)
+        found.append(OrderPoles(order, frequency, damping, fit.shapes[chosen], *same))
+    return Stabilization(measured, tuple(found))
 
 
 def modal_assurance(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> NDArray[np.float64]:
@@ -167,21 +126,20 @@ def modal_assurance(one: NDArray[np.complex128], other: NDArray[np.complex128]) 
     return np.asarray(product / np.maximum(sizes, np.finfo(float).tiny))
 
 
-def _marks(
+def _same(
     frequency: NDArray[np.float64],
     damping: NDArray[np.float64],
     shapes: NDArray[np.complex128],
     below: OrderPoles | None,
-    tolerances: Tolerances,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Whether each pole's nearest in the order below is the same, in frequency, damping ratio and shape."""
+    """Whether each pole is the same as its nearest in the order below: in frequency, damping ratio and shape."""
     if below is None or not len(below.frequency) or not len(frequency):
         none = np.zeros(len(frequency), dtype=np.bool_)
         return none, none, none
     nearest = np.argmin(np.abs(frequency[:, None] - below.frequency), axis=1)
-    same_frequency = np.abs(frequency / below.frequency[nearest] - 1) < tolerances.frequency
-    same_damping = same_frequency & (np.abs(damping / below.damping[nearest] - 1) < tolerances.damping)
-    # channels in units of their size, or the forces would be all there is of a shape
+    same_frequency = np.abs(frequency / below.frequency[nearest] - 1) < FREQUENCY
+    same_damping = same_frequency & (np.abs(damping / below.damping[nearest] - 1) < DAMPING)
+    # channels in units of their size, or the forces would dominate every shape
     size = np.maximum(np.sqrt(np.mean(np.abs(shapes) ** 2, axis=0)), np.finfo(float).tiny)
     agreement = modal_assurance(shapes / size, below.shapes / size)[np.arange(len(frequency)), nearest]
-    return same_frequency, same_damping, same_frequency & (1 - agreement < tolerances.shape)
+    return same_frequency, same_damping, same_frequency & (1 - agreement < SHAPE)

@@ -6,7 +6,7 @@ a ratio of polynomials in z = exp(i w T), not in s: the fractions are 1 / (z - a
 no compensation. The servo's lag is a fast real pole.
 
 Poles that a step puts outside the unit circle are mirrored into it for the next one. The poles of the last step are
-given as they are: an unstable one is an error of `vector_fitting`, and plain to see in `fit_common_poles`.
+given as they are: `vector_fitting` refuses an unstable one, `fit_common_poles` returns it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 ITERATIONS = 30
 
 START_ITERATIONS, START_LINES = 10, 3000
-"""Enough for poles that are only begun with."""
+"""Enough for starting poles."""
 
 CONVERGED = 1e-6
 """Relative movement of every pole that ends the iterations."""
@@ -36,7 +36,7 @@ CONVERGED = 1e-6
 START_DAMPING = 0.01
 
 HEAVY_DAMPING = 0.3
-"""Pairs damped more than that are no modes of a building: they stand for what the other poles do not say."""
+"""Pairs damped more than that are no modes of a building: they make up for what the other poles do not explain."""
 
 MORE = 3
 """Orders beyond the least one at which starting poles are looked for."""
@@ -54,14 +54,11 @@ class VectorFit:
         (poles, channels) complex: residues of the fractions 1 / (z - a), the mode shapes of the channels.
     strength
         (poles,) greatest peak |residue| / (1 - |a|) in any channel, as a share of that channel's rms response.
-    error
-        Root mean square of what is left over, in standard deviations.
     """
 
     poles: NDArray[np.complex128]
     shapes: NDArray[np.complex128]
     strength: NDArray[np.float64]
-    error: float
 
 
 def vector_fitting(measured: FrequencyResponse, order: int) -> VectorFit:
@@ -87,7 +84,7 @@ def vector_fitting(measured: FrequencyResponse, order: int) -> VectorFit:
 def fit_common_poles(
     measured: FrequencyResponse, order: int, weights: NDArray[np.float64], iterations: int = ITERATIONS
 ) -> VectorFit:
-    """As `vector_fitting`, unstable poles among those found as they come.
+    """As `vector_fitting`, unstable poles included.
 
     Parameters
     ----------
@@ -123,21 +120,20 @@ def fit_common_poles(
         if same:
             break
     basis = np.column_stack([_fractions(z, a), np.ones(lines)])
-    residues, left = np.empty((len(a), measured.response.shape[1]), dtype=np.complex128), 0.0
+    residues = np.empty((len(a), measured.response.shape[1]), dtype=np.complex128)
     for channel, (g, weight) in enumerate(zip(measured.response.T, root.T, strict=True)):
         coefficients = least_squares(basis * weight[:, None], (g * weight)[:, None])[:, 0]
-        left += float(np.sum(np.abs(weight * (basis @ coefficients - g)) ** 2))
         residues[:, channel] = _complex_residues(a, coefficients[:-1])
     size = np.sqrt(np.mean(np.abs(measured.response) ** 2, axis=0))
     peak = np.abs(residues) / np.maximum(np.abs(1 - np.abs(a)), np.finfo(float).eps)[:, None]
     # a negative real a, which no rig has, shows as a pole that oscillates at half the sample rate
     poles = np.asarray(np.log(a) / period).astype(np.complex128)
     strength = np.max(peak / np.where(size > 0, size, 1.0), axis=1)
-    return VectorFit(poles, residues, strength, float(np.sqrt(left / root.size)))
+    return VectorFit(poles, residues, strength)
 
 
 def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0) -> NDArray[np.complex128]:
-    """Poles from which `maximum_likelihood.fit_poles` finds its own.
+    """Poles from which `maximum_likelihood.fit_poles` starts.
 
     Parameters
     ----------
@@ -146,8 +142,8 @@ def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0) -> N
     pairs
         The strongest of these are taken.
     reals
-        0; 1: a slow one, begun at the slowest pair's frequency (a servo's integrator); 2: and a fast one, begun at half
-        a sample's time constant (a servo's lag).
+        0; 1: a slow one at the slowest pair's frequency (a servo's integrator); 2: and a fast one, whose time constant
+        is half a sample (a servo's lag).
 
     Returns
     -------
@@ -164,7 +160,7 @@ def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0) -> N
     found = np.zeros(0, dtype=np.complex128)
     measured = thinned(measured, START_LINES)
     for order in range(2 * pairs, 2 * pairs + MORE * 2 + 1):
-        # by each line's uncertainty: good enough to begin with, and robust where a short test's peaks are biased
+        # by each line's uncertainty: good enough to start from, and robust where a short test's peaks are biased
         weights = uncertainty_weights(measured.response, measured.sigma)
         fit = fit_common_poles(measured, order, weights, START_ITERATIONS)
         found = modes_of(fit, measured)[:pairs]
@@ -173,7 +169,7 @@ def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0) -> N
     else:
         raise AbraceError(
             f"starting poles: {len(found)} oscillating poles between {measured.omega[0]:.3g} and "
-            f"{measured.omega[-1]:.3g} rad/s, expected {pairs}; a longer or stronger test, or fewer pairs, may mend it"
+            f"{measured.omega[-1]:.3g} rad/s, expected {pairs}; a longer or stronger test, or fewer pairs, may help"
         )
     found = found[np.argsort(np.abs(found))]
     slow_and_fast = np.array([-np.abs(found[0]), -2 / measured.sample_period])
@@ -188,7 +184,7 @@ def modes_of(fit: VectorFit, measured: FrequencyResponse) -> NDArray[np.complex1
 
 
 def thinned(measured: FrequencyResponse, lines: int) -> FrequencyResponse:
-    """The estimate `measured` at every second, third ... line, so that no more than about so many `lines` are left."""
+    """The estimate `measured` at every second, third ... line, so that about `lines` are left."""
     chosen = slice(None, None, max(1, len(measured.omega) // lines))
     return replace(
         measured, omega=measured.omega[chosen], response=measured.response[chosen], sigma=measured.sigma[chosen]
@@ -210,7 +206,7 @@ def _fractions(z: NDArray[np.complex128], a: NDArray[np.complex128]) -> NDArray[
 def _channel_weights(measured: FrequencyResponse) -> NDArray[np.float64]:
     """(lines, channels) 1 / mean variance of a channel; of exact responses, of a billionth of its rms.
 
-    By each line's own uncertainty a resonance, whose errors grow with it, would count little, and the pole is there.
+    By each line's own uncertainty a resonance, whose errors grow with it, would count little, though it shows the pole.
     """
     size = np.sqrt(np.mean(np.abs(measured.response) ** 2, axis=0))
     noise = np.maximum(np.sqrt(np.mean(measured.sigma**2, axis=0)), 1e-9 * size)

@@ -1,1 +1,1 @@
-"""Poles and residues to state-space models, superposed, consistent or reduced."""
+"""Poles and transfer functions to state-space models: superposed, consistent or reduced."""

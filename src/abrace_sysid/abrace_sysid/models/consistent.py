@@ -1,13 +1,10 @@
 """The consistent model that the paper lacked: one set of poles for every input, each motion of the rig once.
 
-Eqs. (6) and (7) give the superposed model each building pole three times, identified in three places. The command
-controls none of the table's copies, and in closed loop the prediction comes about only because the parts cancel: what
-they differ by rings. Here every input has the same poles, those that its band shows, and all channels their numerators
-in absolute weights (`realize`); the inputs' copies of a pole are then merged by balanced truncation to as many states
-as there are poles.
-
-The force under zero command needs one pole that curve fits of accelerations miss: that of the servo's slow integral
-action, real and heavily damped. `slow_real_pole` finds it in the table test.
+Eqs. (6) and (7) give the superposed model each building pole three times, from three fits. The command controls none of
+the table's copies, and in closed loop the prediction is right only as far as the parts cancel: their differences
+oscillate at the building's poles. Here every input has the same poles, those that its band shows, and all channels
+their numerators in absolute weights (`realize`); the inputs' copies of a pole are then merged by balanced truncation to
+as many states as there are poles.
 """
 
 from __future__ import annotations
@@ -16,11 +13,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import optimize
 
 from abrace_core.errors import AbraceError
-from abrace_sysid.fitting.curve_fit import least_squares, require_stable
-from abrace_sysid.models.realization import modal_states, realize, sampled_states, superpose
+from abrace_sysid.fitting.curve_fit import require_stable
+from abrace_sysid.models.realization import realize, superpose
 from abrace_sysid.models.reduction import Reduction, balanced_truncation, typical_scales
 
 if TYPE_CHECKING:
@@ -37,8 +33,8 @@ def realize_together(
 ) -> LinearModel:
     """One model for several inputs with common poles, each input driving its own copy of them.
 
-    An input gets the poles up to the highest frequency at which its response was measured; what lies beyond shows as
-    the direct term. Direct terms are kept as the data give them.
+    An input gets the poles up to the highest frequency at which its response was measured; those beyond add to the
+    direct term, which is fitted.
 
     Parameters
     ----------
@@ -99,44 +95,3 @@ def consistent_model(
     merged = balanced_truncation(whole, len(poles), typical_scales(whole, band))
     about = {"states": f"consistent, one for each of {len(poles)} common poles"}
     return replace(merged, model=replace(merged.model, provenance=about))
-
-
-def slow_real_pole(measured: FrequencyResponse, poles: NDArray[np.complex128], delay: float = 0.0) -> float | None:
-    """The real pole which, beside known ones, explains most of a response: that of the servo's integral action.
-
-    Use the table test: over a wide band a real pole would make up for what the model class lacks at high frequency.
-
-    Parameters
-    ----------
-    measured
-        From one input; the brace forces should be among its channels.
-    poles
-        [rad/s], the known ones; those beyond the response's band are left out.
-    delay
-        Of the input [s].
-
-    Returns
-    -------
-    float or None
-        [rad/s], negative. None if no pole within the band lowers the error by more than its coefficients would by
-        chance (Schwarz 1978).
-    """
-    known = poles[np.abs(poles) <= measured.omega[-1]]
-    noise = np.sqrt(np.mean(measured.sigma**2, axis=0))
-    noise = np.maximum(noise, 1e-9 * np.sqrt(np.mean(np.abs(measured.response) ** 2, axis=0)))  # of exact responses
-
-    def misfit(with_poles: NDArray[np.complex128]) -> float:
-        basis = sampled_states(modal_states(with_poles, measured.input, delay), measured)
-        left_over = basis @ least_squares(basis, measured.response) - measured.response
-        return float(np.log(np.sum(np.abs(left_over / noise) ** 2)))
-
-    def misfit_of(exponent: float) -> float:
-        return misfit(np.append(known, -np.exp(exponent)))
-
-    bounds = np.log([measured.omega[0], measured.omega[-1]])
-    best = optimize.minimize_scalar(misfit_of, bounds=tuple(bounds), method="bounded", options={"xatol": 1e-3})
-    values, added = 2 * measured.response.size, len(measured.outputs) + 1
-    at_an_end = min(best.x - bounds[0], bounds[1] - best.x) < 0.01
-    if at_an_end or values * (misfit(known) - best.fun) < added * np.log(values):
-        return None
-    return -float(np.exp(best.x))

@@ -1,12 +1,12 @@
 """Transfer functions with a common denominator as state-space models, and their superposition: Eqs. (3) to (7).
 
-The states are modal: one real 2 x 2 block for each pole pair, [[re, im], [-im, re]], driven through its first state.
-With the poles given, A and B are fixed, and what remains of the numerators (order n = m) is one row of C and D for
-each output: a linear least-squares problem, as the upper half of Eq. (1) is, but well conditioned at any order.
+With the poles given, A and B of the modal states are fixed, and what remains of the numerators (order n = m) is one
+row of C and D for each output: a linear least-squares problem, as the upper half of Eq. (1) is, but well conditioned at
+any order.
 
 The rows are fitted with equal (absolute) weights to the response of the *discretised* block model, hold and delay
-included: what the model then predicts at the samples is what was measured there. Relative weights would be worse: in
-closed loop z1 + z2 + z3 cancel, and any inconsistency between them is amplified.
+included, so that the model predicts the samples that were measured. Relative weights would be worse: in closed loop
+z1 + z2 + z3 cancel, and any inconsistency between them is amplified.
 """
 
 from __future__ import annotations
@@ -17,50 +17,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg
 
-from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_core.simulation import Hold, discretize
 from abrace_sysid.fitting.curve_fit import least_squares
-from abrace_sysid.spectra.frequency_response import FrequencyResponse
+from abrace_sysid.fitting.modal_states import modal_states
+from abrace_sysid.spectra.frequency_response import FrequencyResponse, sampled_response
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
-
-HOLDS: dict[str, Hold] = {signals.GROUND: "first"}
-"""The ground acceleration is linear between samples; commands are held."""
-
-
-def modal_states(poles: NDArray[np.complex128], input_name: str, delay: float) -> LinearModel:
-    """A model whose outputs are its own modal states and, last, the (delayed) input itself.
-
-    Parameters
-    ----------
-    poles
-        [rad/s], real or in conjugate pairs, all distinct.
-    input_name
-        The one input.
-    delay
-        Of the input [s].
-    """
-    blocks: list[NDArray[np.float64]] = []
-    drive: list[float] = []
-    for pole in poles:
-        if pole.imag > 0:
-            blocks.append(np.array([[pole.real, pole.imag], [-pole.imag, pole.real]]))
-            drive += [1.0, 0.0]
-        elif pole.imag == 0:
-            blocks.append(np.array([[pole.real]]))
-            drive.append(1.0)
-    a = linalg.block_diag(*blocks)
-    n = len(a)
-    if n != len(poles):
-        raise AbraceError(f"modal states: {len(poles)} poles make {n} states, expected conjugate pairs")
-    c, d = np.vstack([np.eye(n), np.zeros((1, n))]), np.vstack([np.zeros((n, 1)), np.ones((1, 1))])
-    names = (*(f"state{i + 1}" for i in range(n)), "direct")
-    return LinearModel(a, np.array(drive)[:, None], c, d, (input_name,), names, input_delay=(delay,))
 
 
 def realize(
@@ -82,35 +48,22 @@ def realize(
     AbraceError
         If several responses are not of the same input and outputs.
     """
-    together = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
-    name, outputs = together[0].input, together[0].outputs
-    for other in together[1:]:
+    responses = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
+    name, outputs = responses[0].input, responses[0].outputs
+    for other in responses[1:]:
         if (other.input, other.outputs) != (name, outputs):
             raise AbraceError(
                 f"realisation: responses of {', '.join(other.outputs)} to {other.input} and of {', '.join(outputs)} "
                 f"to {name}, expected the same input and outputs"
             )
     states = modal_states(poles, name, delay)
-    basis = np.vstack([sampled_states(states, response) for response in together])
-    rows = least_squares(basis, np.vstack([response.response for response in together])).T
+    basis = np.vstack([sampled_response(states, response) for response in responses])
+    rows = least_squares(basis, np.vstack([response.response for response in responses])).T
     return replace(states, c=rows[:, :-1], d=rows[:, -1:], outputs=outputs)
 
 
-def sampled_states(states: LinearModel, measured: FrequencyResponse) -> NDArray[np.complex128]:
-    """(lines, states + 1) response of `modal_states` at the lines of a measured one, sampled with the same hold.
-
-    Parameters
-    ----------
-    states
-        From `modal_states`.
-    measured
-        Whose lines, sample period and input are meant.
-    """
-    return discretize(states, measured.sample_period, HOLDS).frequency_response(measured.omega)[:, :, 0]
-
-
 def unexplained(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.float64]:
-    """(channels,) what a model leaves over of a response, rms over the lines, as a share of the response's rms.
+    """(channels,) residual of a model against a measured response: rms over the lines, as a share of the response's.
 
     Parameters
     ----------
@@ -119,8 +72,7 @@ def unexplained(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.f
     measured
         Hold and delays included.
     """
-    own = discretize(model.select(measured.outputs, [measured.input]), measured.sample_period, HOLDS)
-    left_over = own.frequency_response(measured.omega)[:, :, 0] - measured.response
+    left_over = sampled_response(model.select(measured.outputs), measured) - measured.response
     return np.asarray(
         np.sqrt(np.mean(np.abs(left_over) ** 2, axis=0) / np.mean(np.abs(measured.response) ** 2, axis=0))
     )

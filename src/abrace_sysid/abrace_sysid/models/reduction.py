@@ -2,7 +2,7 @@
 
 In SI units the Gramians of the table's motion swamp those of the command by a factor of 1e9. So inputs and outputs are
 scaled first: each input by the intensity of Table 1's test, each output by its rms under inputs of those intensities.
-The superposed model has each building pole three times; the copies that cannot be told apart drop out.
+The superposed model has each building pole three times; copies that coincide are cut.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ INTENSITY = {"w": 0.02 * 9.80665, "U": 186.0 * 9.80665}
 """Typical rms of the ground acceleration [m/s^2] and of a command [N] (Table 1), by the signal's first letter."""
 
 NEGLIGIBLE = 1e-7
-"""Share of the greatest Hankel singular value below which a state drives nothing or shows nothing: what rounding
-leaves of a singular Gramian's square root."""
+"""Share of the greatest Hankel singular value below which a state counts as uncontrollable or unobservable: rounding
+leaves as much of a singular Gramian's square root."""
 
 LINES = 4000
-"""Frequencies of a sum over a band."""
+"""Frequencies of a sum over a band, evenly spaced in the logarithm."""
 
 
 @dataclass(frozen=True)
 class Scales:
-    """What one unit of each signal is for balancing: `inputs` (inputs,) and `outputs` (outputs,), in SI units."""
+    """The balancing unit of each signal: `inputs` (inputs,) and `outputs` (outputs,), in SI units."""
 
     inputs: NDArray[np.float64]
     outputs: NDArray[np.float64]
@@ -41,7 +41,7 @@ class Scales:
 
 @dataclass(frozen=True)
 class Reduction:
-    """A reduced model and what it was chosen by.
+    """A reduced model and the Hankel singular values that it was cut by.
 
     Parameters
     ----------
@@ -49,21 +49,18 @@ class Reduction:
         The reduced model, in SI units, with the names and delays of the whole one.
     hankel_singular_values
         (states,) of the whole model in balancing units, greatest first.
-    scales
-        The balancing units.
     """
 
     model: LinearModel
     hankel_singular_values: NDArray[np.float64]
-    scales: Scales
 
     @property
     def error_bound(self) -> float:
-        """Greatest possible error of the frequency response, in balancing units: twice the sum of what was cut."""
+        """Greatest possible error of the frequency response, in balancing units: twice the sum of the values cut."""
         return float(2 * self.hankel_singular_values[self.model.order :].sum())
 
 
-def typical_scales(model: LinearModel, band: tuple[float, float], lines: int = LINES) -> Scales:
+def typical_scales(model: LinearModel, band: tuple[float, float]) -> Scales:
     """Inputs at Table 1's intensities, and the rms of each output that the model predicts under them.
 
     The inputs are taken as independent white noise within a band, uncontrolled.
@@ -74,11 +71,9 @@ def typical_scales(model: LinearModel, band: tuple[float, float], lines: int = L
         Continuous model.
     band
         [Hz].
-    lines
-        Frequencies of the sum, evenly spaced in the logarithm.
     """
     inputs = np.array([INTENSITY[name[0]] for name in model.inputs])
-    omega, share = _white_noise(band, lines)
+    omega, share = _white_noise(band)
     outputs = np.sqrt(np.einsum("fpm,f->p", np.abs(model.frequency_response(omega) * inputs) ** 2, share))
     silent = [name for name, rms in zip(model.outputs, outputs, strict=True) if rms == 0]
     if silent:
@@ -122,32 +117,27 @@ def balanced_truncation(model: LinearModel, states: int, scales: Scales) -> Redu
         raise AbraceError(
             f"balanced truncation to {states} states: the reduced model is unstable, expected another order"
         )
-    return Reduction(reduced, hankel, scales)
+    return Reduction(reduced, hankel)
 
 
 @dataclass(frozen=True)
 class OrderErrors:
-    """What each order would cost.
+    """The errors of each order.
 
     Parameters
     ----------
     orders
         (n,) states of the reduced models.
-    bound
-        (n,) greatest possible error of the frequency response, in balancing units.
     achieved
         (n, outputs, inputs) relative error of each channel, as `relative_errors` gives it; NaN where that order has no
         stable reduced model.
     """
 
     orders: NDArray[np.int64]
-    bound: NDArray[np.float64]
     achieved: NDArray[np.float64]
 
 
-def relative_errors(
-    model: LinearModel, reduced: LinearModel, band: tuple[float, float], lines: int = LINES
-) -> NDArray[np.float64]:
+def relative_errors(model: LinearModel, reduced: LinearModel, band: tuple[float, float]) -> NDArray[np.float64]:
     """Rms error of each output over its rms, for each input alone: white noise within a band (relative H2 norm).
 
     Parameters
@@ -156,15 +146,13 @@ def relative_errors(
         Continuous, with the same inputs and outputs.
     band
         [Hz].
-    lines
-        Frequencies of the sum, evenly spaced in the logarithm.
 
     Returns
     -------
     NDArray
         (outputs, inputs); NaN where `model` gives no response at all.
     """
-    omega, share = _white_noise(band, lines)
+    omega, share = _white_noise(band)
     whole = model.frequency_response(omega)
     difference = reduced.frequency_response(omega) - whole
     error, size = (np.einsum("fpm,f->pm", np.abs(response) ** 2, share) for response in (difference, whole))
@@ -172,7 +160,7 @@ def relative_errors(
 
 
 def errors_by_order(model: LinearModel, scales: Scales, band: tuple[float, float]) -> OrderErrors:
-    """Error bound and achieved errors of every order that a model can be cut to.
+    """Achieved errors of every order that a model can be cut to.
 
     Parameters
     ----------
@@ -185,7 +173,6 @@ def errors_by_order(model: LinearModel, scales: Scales, band: tuple[float, float
     """
     hankel = balanced_truncation(model, 1, scales).hankel_singular_values
     orders = np.arange(1, int(np.sum(hankel > NEGLIGIBLE * hankel[0])) + 1)
-    bound = 2 * (hankel.sum() - np.cumsum(hankel)[: len(orders)])
     achieved = np.full((len(orders), len(model.outputs), len(model.inputs)), np.nan)
     for i, states in enumerate(orders):
         try:
@@ -193,12 +180,12 @@ def errors_by_order(model: LinearModel, scales: Scales, band: tuple[float, float
         except AbraceError:
             continue  # unstable in rounding: equal Hankel singular values on both sides of the cut
         achieved[i] = relative_errors(model, reduced, band)
-    return OrderErrors(orders, bound, achieved)
+    return OrderErrors(orders, achieved)
 
 
-def _white_noise(band: tuple[float, float], lines: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Angular frequencies [rad/s] over a band [Hz] and the share of white noise's power that each stands for."""
-    omega = 2 * np.pi * np.geomspace(*band, lines)
+def _white_noise(band: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Angular frequencies [rad/s] over a band [Hz] and the share of white noise's power in each."""
+    omega = 2 * np.pi * np.geomspace(*band, LINES)
     return omega, np.gradient(omega) / (2 * np.pi * (band[1] - band[0]))
 
 

@@ -15,34 +15,35 @@ from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import export_mat, save_model
 from abrace_core.node import AbraceNode, Parameter, run
-from abrace_sysid import figures
+from abrace_sysid.figures import identification as figures
+from abrace_sysid.fitting.options import FIT_METHODS, IdentificationOptions
 from abrace_sysid.fitting.pole_estimate import PoleInterval
-from abrace_sysid.fitting.pole_fits import FIT_METHODS
 from abrace_sysid.fitting.stabilization import stabilization
-from abrace_sysid.fitting.stabilization_figure import stabilization_diagram
-from abrace_sysid.identification import Identification, IdentificationOptions, identify
+from abrace_sysid.identification import Identification, identify
 from abrace_sysid.models.reduction import errors_by_order, typical_scales
-from abrace_sysid.spectra.frequency_response import Choice, Method
+from abrace_sysid.spectra.estimation import Method, TransferFunctionOptions
 from abrace_sysid.spectra.welch import Estimator
 
 DEFAULTS = IdentificationOptions()
-CHOICE = DEFAULTS.transfer_function
+METHOD = DEFAULTS.transfer_function
 TRANSFER_FUNCTION = ("method", "segment", "window", "overlap", "estimator", "order", "half_width")
 
 PARAMETERS = [
     Parameter(
         "table", [], "bag, or list of bags, of tests with noise or a multisine on the table", element=str, required=True
     ),
-    Parameter("command", [], "likewise with the command; the same bags: both at once", element=str, required=True),
+    Parameter(
+        "command", [], "likewise with the command; the same bags where both were excited", element=str, required=True
+    ),
     Parameter("output", "", "folder for models, poles and figures", required=True),
     Parameter("fit", DEFAULTS.fit, "of the poles", choices=FIT_METHODS),
-    Parameter("method", CHOICE.method, "of the transfer functions", choices=get_args(Method)),
-    Parameter("segment", CHOICE.segment, "samples in a piece of Welch's method; 0: by the record's length", minimum=0),
-    Parameter("window", CHOICE.window, "of Welch's method, by SciPy's name"),
-    Parameter("overlap", CHOICE.overlap, "of neighbouring pieces of Welch's method", minimum=0.0, maximum=0.99),
-    Parameter("estimator", CHOICE.estimator, "of Welch's method", choices=get_args(Estimator)),
-    Parameter("order", CHOICE.order, "of the local methods' polynomials; 0: 2 rational, 4 polynomial", minimum=0),
-    Parameter("half_width", CHOICE.half_width, "lines to each side of the local methods; 0: by the record", minimum=0),
+    Parameter("method", METHOD.method, "of the transfer functions", choices=get_args(Method)),
+    Parameter("segment", METHOD.segment, "samples in a piece of Welch's method; 0: by the record's length", minimum=0),
+    Parameter("window", METHOD.window, "of Welch's method, by SciPy's name"),
+    Parameter("overlap", METHOD.overlap, "of neighbouring pieces of Welch's method", minimum=0.0, maximum=0.99),
+    Parameter("estimator", METHOD.estimator, "of Welch's method", choices=get_args(Estimator)),
+    Parameter("order", METHOD.order, "of the local methods' polynomials; 0: 2 rational, 4 polynomial", minimum=0),
+    Parameter("half_width", METHOD.half_width, "lines to each side of the local methods; 0: by the record", minimum=0),
     Parameter("table_band", list(DEFAULTS.table_band), "Hz, lowest and highest frequency used", minimum=0.0),
     Parameter("command_band", list(DEFAULTS.command_band), "Hz, lowest and highest frequency used", minimum=0.0),
     Parameter("command_order", DEFAULTS.command_order, "oscillating poles of the response to the command", minimum=2),
@@ -73,7 +74,7 @@ class Identify(AbraceNode):
             for warning in recorded.facts.get("warnings", []):
                 print(warning, file=sys.stderr, flush=True)
         options = IdentificationOptions(
-            transfer_function=Choice(**{name: getattr(given, name) for name in TRANSFER_FUNCTION}),
+            transfer_function=TransferFunctionOptions(**{name: getattr(given, name) for name in TRANSFER_FUNCTION}),
             fit=given.fit,
             table_band=_band("table_band", given.table_band),
             command_band=_band("command_band", given.command_band),
@@ -139,7 +140,7 @@ class Identify(AbraceNode):
         if self.parameters.stabilization:
             for name, response in (("table", table), ("command", command)):
                 marked = [pair.frequency for pair in found.poles.common_pairs]
-                drawings[f"stabilization_{name}"] = stabilization_diagram(stabilization(response), marked)
+                drawings[f"stabilization_{name}"] = figures.stabilization_diagram(stabilization(response), marked)
         for name, figure in drawings.items():
             save_figure(figure, output / f"{name}.png")
 

@@ -15,13 +15,13 @@ from abrace_core.files import write_text
 from abrace_core.linear_model import load_model
 from abrace_core.node import AbraceNode, Parameter, run
 from abrace_core.response import PeakRms, in_paper_units, peak_rms
-from abrace_sysid import figures
+from abrace_sysid.figures import validation as figures
 from abrace_sysid.validation import Comparison, compare
 
 PARAMETERS = [
     Parameter("bag", "", "bag of the test to compare", required=True),
     Parameter("model", "", "model file (JSON) to simulate with", required=True),
-    Parameter("other_models", [], "further model files, whose figures stand beside", element=str),
+    Parameter("other_models", [], "further model files to simulate with, compared in the same way", element=str),
     Parameter("controller", "", "controller file of the test; empty: the recorded command drives the model"),
     Parameter("uncontrolled", "", "bag of the same test without control; empty: none"),
     Parameter("output", "", "folder for comparison.json and figures", required=True),

@@ -1,7 +1,8 @@
 """Discrete Fourier transforms of a whole recorded test: what transfer functions and a likelihood are computed from.
 
 Of the sampled rig, Y(k) = G(k) U(k) + T(k) + V(k) at every line k: U the inputs from each sample on, T the transient
-(leakage: what the record's ends do not have in common), V the noise (Pintelon and Schoukens 2012, sec. 2.6).
+(leakage, from the difference between the states at the record's ends), V the noise (Pintelon and Schoukens 2012,
+sec. 2.6).
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ class Spectra:
         return replace(self, outputs=tuple(outputs), outputs_spectrum=self.outputs_spectrum[:, columns])
 
 
-def of_run(run: Run, inputs: Sequence[str], band: tuple[float, float]) -> Spectra:
-    """The spectra of a test.
+def spectra_of(run: Run, inputs: Sequence[str], band: tuple[float, float]) -> Spectra:
+    """The spectra of a whole test.
 
     Parameters
     ----------
@@ -100,8 +101,14 @@ def automatic_half_width(seconds: float, inputs: int = 1, bandwidth: float = LEA
     return int(np.clip(round(reach), least_half_width(ORDER, inputs) + 3, 20))
 
 
-def all_of(run: Run | Sequence[Run]) -> tuple[Run, ...]:
-    """One `run` or several, of the same rig and sample period, as a tuple."""
+def runs_of_one_rig(run: Run | Sequence[Run]) -> tuple[Run, ...]:
+    """One `run` or several as a tuple.
+
+    Raises
+    ------
+    AbraceError
+        If there is none, or their channels or sample periods differ.
+    """
     runs = (run,) if isinstance(run, Run) else tuple(run)
     if not runs:
         raise AbraceError("transfer functions: no test, expected at least one")
@@ -116,7 +123,7 @@ def all_of(run: Run | Sequence[Run]) -> tuple[Run, ...]:
 
 
 def held_input(run: Run, name: str) -> NDArray[np.float64]:
-    """(samples,) the input `name` of `run`: the ground acceleration at each sample, or the command from it on."""
+    """(samples,) the input `name` of `run`: the ground acceleration at each sample, or the command held from it on."""
     if name in run.command_names:
         return run.command_from_here[:, run.command_names.index(name)]
     return run.channels([name])[:, 0]

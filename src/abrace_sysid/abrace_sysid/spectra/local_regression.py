@@ -2,8 +2,8 @@
 
 About each line of a record's discrete Fourier transform, the response G and the transient (leakage) T in
 Y(k) = G(k) U(k) + T(k) + V(k) are polynomials of the line number over a window of neighbouring lines, found together
-by least squares; what is left over is the noise V (Pintelon and Schoukens 2012, ch. 7). A lightly damped mode in a
-short record is narrower than any window: there both are rational, with one pole that all channels share (McKelvey and
+by least squares; the residual is the noise V (Pintelon and Schoukens 2012, ch. 7). A lightly damped mode in a
+short record is narrower than any window: then both are rational, with one pole that all channels share (McKelvey and
 Guerin 2012; A Y = B U + C + A V with A = 1 + a r).
 
 The transient's polynomials span the same space in every window: one fixed projection removes them. Several records
@@ -27,36 +27,14 @@ WINDOWS_AT_ONCE = 128
 """Windows that are solved together; keeps the work in the cache."""
 
 WEIGHING_WINDOWS = 256
-"""Windows, evenly spread over the band, that tell the channels' noise and with it their weights in the shared pole."""
+"""Windows, evenly spread over the band, that give the channels' noise and so their weights in the shared pole."""
 
 DEPENDENT = 1e-6
-"""An input of which no greater share is its own repeats another."""
-
-
-@dataclass(frozen=True)
-class LocalFit:
-    """Local estimates at every line.
-
-    Parameters
-    ----------
-    response
-        (lines, channels, inputs) complex.
-    sigma
-        (lines, channels, inputs): its standard deviation.
-    noise
-        (lines, channels): power of the noise, from what was left over about the line.
-    half_width
-        Lines on either side in a window.
-    """
-
-    response: NDArray[np.complex128]
-    sigma: NDArray[np.float64]
-    noise: NDArray[np.float64]
-    half_width: int
+"""Share of an input that is independent of the others, below which it counts as a repetition of them."""
 
 
 def least_half_width(order: int, inputs: int = 1, records: int = 1) -> int:
-    """The narrowest window, in lines on either side, that leaves residuals to judge the noise by.
+    """The narrowest window, in lines on either side, that leaves residuals for an estimate of the noise.
 
     Parameters
     ----------
@@ -75,7 +53,7 @@ def fit_locally(
     order: int,
     half_width: int,
     poles: Literal[0, 1] = 1,
-) -> LocalFit:
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
     """Fit the response and the transients about every line.
 
     Parameters
@@ -90,6 +68,11 @@ def fit_locally(
         Lines on either side; at the ends of the band the windows are shifted inwards.
     poles
         0: polynomials; 1: rational, with a pole that the channels share.
+
+    Returns
+    -------
+    response, sigma
+        (lines, channels, inputs) estimates and their standard deviations.
 
     Raises
     ------
@@ -115,21 +98,18 @@ def fit_locally(
         weight = np.divide(1.0, variance, out=weight, where=variance > 0)
     response = np.empty((lines, channels, inputs), dtype=np.complex128)
     sigma = np.empty((lines, channels, inputs))
-    noise = np.empty((windows, channels))
     for start in range(0, windows, WINDOWS_AT_ONCE):
         stop = min(start + WINDOWS_AT_ONCE, windows)
         solved = grid.solve(np.arange(start, stop), weight)
-        noise[start:stop] = solved.noise()
         # a window's own line is its middle one; the first and the last window also serve the ends of the band
         own = np.arange(start + half_width if start else 0, stop + half_width if stop < windows else lines)
         serving = np.clip(own - half_width, 0, windows - 1)
         response[own], sigma[own] = solved.at(serving - start, own - serving)
-    about = np.clip(np.arange(lines) - half_width, 0, windows - 1)
-    return LocalFit(response, sigma, noise[about], half_width)
+    return response, sigma
 
 
 class _Grid:
-    """All windows of a band: what does not depend on where the window is."""
+    """All windows of a band, and the polynomials that they share."""
 
     def __init__(
         self, excitation: NDArray[np.complex128], outputs: NDArray[np.complex128], order: int, half_width: int
@@ -138,16 +118,13 @@ class _Grid:
         self.offset = np.linspace(-1, 1, window)
         basis, _ = np.linalg.qr(np.vander(self.offset, order + 1, increasing=True), mode="complete")
         self.powers, self.complement = basis[:, : order + 1], basis[:, order + 1 :].T
-        # an input's window times each polynomial, an output's times 1 and r, without what a transient can explain
+        # an input's window times each polynomial, an output's times 1 and r, both projected off the transient
         self.of_input = np.concatenate(self.complement * self.powers.T[:, None, :])
         self.of_output = np.concatenate([self.complement, self.complement * self.offset])
         # (window, windows, records x inputs or channels)
         self.excitation = _sliding(excitation, window)
         self.outputs = _sliding(outputs, window)
         self.records, self.inputs, self.channels = len(excitation), excitation.shape[2], outputs.shape[2]
-        # the share of each line in what is left over, to first order
-        share = np.sum(self.complement**2, axis=0) / len(self.complement)
-        self.mean_square_offset = float(share @ self.offset**2)
 
     def solve(self, starts: NDArray[np.int64], weight: NDArray[np.float64]) -> _Solved:
         """Least squares in the windows with these first lines; no pole where the channels have no weight."""
@@ -180,21 +157,21 @@ class _Grid:
         measured -= projected @ directions.swapaxes(1, 2)
         freedom = self.records * rows - unknowns - pole_sought / self.channels
         pole, pole_variance = np.zeros(count, dtype=np.complex128), np.zeros(count)
-        still = measured[:, : self.channels]
+        left_over = measured[:, : self.channels]
         if pole_sought:
             by_pole = measured[:, self.channels :]
             curvature = np.sum(_square(by_pole), axis=2) @ weight
-            slope = np.einsum("wcr,wcr->wc", by_pole.conj(), still) @ weight
+            slope = np.einsum("wcr,wcr->wc", by_pole.conj(), left_over) @ weight
             inverse = np.divide(1.0, curvature, out=np.zeros_like(curvature), where=curvature > 0)
             pole = -slope * inverse
-            still = still + pole[:, None, None] * by_pole
-            pole_variance = inverse * (np.sum(_square(still), axis=2) @ weight) / (freedom * self.channels)
-        return _Solved(self, triangle, projected, still, pole, pole_variance, freedom)
+            left_over = left_over + pole[:, None, None] * by_pole
+            pole_variance = inverse * (np.sum(_square(left_over), axis=2) @ weight) / (freedom * self.channels)
+        return _Solved(self, triangle, projected, left_over, pole, pole_variance, freedom)
 
 
 @dataclass(frozen=True)
 class _Solved:
-    """Least squares in some windows: R, Q^H [y, r y], what was left over of y + a r y, and a."""
+    """Least squares in some windows: R, Q^H [y, r y], the residual of y + a r y, and a."""
 
     grid: _Grid
     triangle: NDArray[np.complex128]
@@ -209,26 +186,21 @@ class _Solved:
         """(windows, channels) of A V."""
         return np.asarray(np.sum(_square(self.left_over), axis=2) / self.freedom)
 
-    def noise(self) -> NDArray[np.float64]:
-        """(windows, channels) power of V: A V is left over, and the mean of |A|^2 is known."""
-        amplified = 1 + _square(self.pole) * self.grid.mean_square_offset
-        return np.asarray(self.variance / amplified[:, None])
-
     def at(
-        self, which: NDArray[np.int64], place: NDArray[np.int64]
+        self, which: NDArray[np.int64], position: NDArray[np.int64]
     ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        """Response and standard deviation (lines, channels, inputs) at these places of these windows.
+        """Response and standard deviation (lines, channels, inputs), each at a position within a window.
 
-        Without a pole, the response is p.T R^-1 Q^H y with p the polynomials' values there.
+        Without a pole, the response is p.T R^-1 Q^H y with p the polynomials' values at the position.
         """
         grid, channels = self.grid, self.grid.channels
         polynomials, unknowns = grid.powers.shape[1], len(self.triangle)
-        offset, pole = grid.offset[place][:, None], self.pole[which][:, None]
+        offset, pole = grid.offset[position][:, None], self.pole[which][:, None]
         response = np.empty((len(which), channels, grid.inputs), dtype=np.complex128)
         sigma = np.empty((len(which), channels, grid.inputs))
         for i in range(grid.inputs):
             values = np.zeros((unknowns, len(which)), dtype=np.complex128)
-            values[i * polynomials : (i + 1) * polynomials] = grid.powers[place].T
+            values[i * polynomials : (i + 1) * polynomials] = grid.powers[position].T
             row = np.empty_like(values)
             for j in range(unknowns):
                 row[j] = values[j] / self.triangle[j, j, which]

@@ -1,13 +1,13 @@
 """Transfer functions from periodic tests (multisines), with the levels of noise and of nonlinear distortion.
 
-Whole periods of the steady response are transformed together. All that a periodic input makes, distortion included,
-then stands at every P-th line, where P is the number of periods; the P - 1 lines in between hold noise and what is left
-of the transient. A polynomial through them takes the transient out of the line in their middle, and what is left over
-is noise: the fast local polynomial method (Pintelon and Schoukens 2012, sec. 7.3). Of the lines of the period, those
-that an input excites give its transfer functions, and those that none excites show nonlinear distortion.
+Whole periods of the steady response are transformed together. The response to a periodic input, distortion included,
+is then at every P-th line, where P is the number of periods; the P - 1 lines in between hold noise and what is left of
+the transient. A polynomial through them takes the transient out of the line in their middle, and what is left over is
+noise: the fast local polynomial method (Pintelon and Schoukens 2012, sec. 7.3). Of the lines of the period, those that
+an input excites give its transfer functions, and those that none excites show nonlinear distortion.
 
-The input itself says which lines and which samples those are: the period is the lag at which it repeats itself, the
-test ends where it ends to do so. That is exact for a command, and safe for an acceleration that was measured.
+Lines and samples follow from the input itself: the period is the lag at which it repeats itself, and the test ends
+where it no longer does. That is exact for a command, and safe for an acceleration that was measured.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from scipy import fft, ndimage, signal
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
-from abrace_sysid.spectra.frequency_response import FrequencyResponse, held_input
+from abrace_sysid.spectra.fourier import held_input
+from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,27 +35,27 @@ ORDER = 4
 """Of the transient's polynomial at most."""
 
 EDGE = 50
-"""Samples by which the ends of the periodic part of an input may be missed."""
+"""Greatest error, in samples, of the ends found of an input's periodic part."""
 
 ALIKE = 0.05
-"""Share of its mean square by which an input may differ from itself a period later."""
+"""Greatest mean square difference of an input from itself a period later, as a share of its mean square."""
 
 LEAST_CORRELATION = 0.4
-"""Of an input with itself a period later; two periods between long rests have 0.5."""
+"""Least correlation of an input with itself a period later; two periods between long rests have 0.5."""
 
 LEAST_AMPLITUDE = 0.01
-"""Of the strongest line: an input's weaker lines do not excite."""
+"""Share of an input's strongest line below which a line counts as not excited."""
 
 CERTAIN = 5.0
-"""Times the noise that an excited line stands out at least."""
+"""Least amplitude of an excited line, in standard deviations of the noise."""
 
 
 @dataclass(frozen=True)
 class PeriodicResponse:
-    """What a periodic test says of the response to one input.
+    """The response to one input from a periodic test, with levels of noise and distortion.
 
-    The levels are root mean squares in each channel's unit, of as many lines as the input excites: in a linear test
-    `even_distortion` and `odd_distortion` are as low as `noise`, which they include.
+    The levels are root mean squares in each channel's unit, of as many lines as the input excites. They include the
+    noise: in a linear test `even_distortion` and `odd_distortion` are as low as `noise`.
 
     Parameters
     ----------
@@ -97,10 +98,10 @@ def periodic_response(
     band
         Lowest and highest frequency [Hz].
     period_samples
-        Samples in a period; None: the longest that any input is found to have. (Even lines alone repeat themselves
-        after half a period, in which none is left out: give the whole.)
+        Samples in a period; None: the longest period found in any input. (An input of even lines alone repeats itself
+        after half a period: give the whole period.)
     dropped
-        Periods left out at the beginning, at least 1: until the slowest mode has forgotten that the test began.
+        Periods left out at the beginning, at least 1: until the slowest mode's transient has decayed.
 
     Raises
     ------
@@ -142,12 +143,12 @@ def periodic_response(
     # the error of a line is that of the outputs less the response to the error of the measured input
     errors = left_over[excited][:, :, count:] - response[:, None] * left_over[excited][:, :, :1]
     sigma = np.sqrt(np.mean(np.abs(errors) ** 2, axis=1)) * uncertainty / np.abs(excitation)
-    quiet = ~exciting.any(axis=1)
+    unexcited = ~exciting.any(axis=1)
     method = f"multisine, {periods} periods of {period_samples} samples, {dropped} dropped"
     omega = 2 * np.pi * frequency[lines[excited] - 1]
 
     def level(which: NDArray[np.bool_], amplitudes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(channels,) root mean square of as many lines as are excited, each as strong as `which` are on average."""
+        """(channels,) root mean square over the lines `which`, scaled to as many lines as are excited."""
         if not which.any():
             return np.full(amplitudes.shape[1] - count, np.nan)
         power = np.mean(amplitudes[which, count:] ** 2, axis=0) * np.count_nonzero(excited)
@@ -159,8 +160,8 @@ def periodic_response(
         period_samples,
         level(excited, np.abs(steady)),
         level(excited, noise),
-        level(quiet & (lines % 2 == 0), np.abs(steady)),
-        level(quiet & (lines % 2 == 1), np.abs(steady)),
+        level(unexcited & (lines % 2 == 0), np.abs(steady)),
+        level(unexcited & (lines % 2 == 1), np.abs(steady)),
     )
 
 
@@ -205,7 +206,7 @@ def _whole_periods(
 
 
 def _repeats(excitation: NDArray[np.float64], period: int) -> bool:
-    """Whether a signal, rest before and after included, is alike after a period for at least two periods."""
+    """Whether a signal, rest before and after included, repeats itself for at least two periods."""
     if not 0 < period < len(excitation):
         return False
     before, after = excitation[:-period], excitation[period:]
@@ -217,11 +218,11 @@ def _periodic_part(inputs: NDArray[np.float64], period: int) -> tuple[int, int]:
     first, last = 0, len(inputs)
     for excitation in inputs.T:
         before, after = excitation[:-period], excitation[period:]
-        changed = ndimage.uniform_filter1d((after - before) ** 2, EDGE, mode="nearest")
-        parts, count = ndimage.label(changed < ALIKE * (before @ before) / len(before))
+        difference = ndimage.uniform_filter1d((after - before) ** 2, EDGE, mode="nearest")
+        parts, count = ndimage.label(difference < ALIKE * (before @ before) / len(before))
         if not count:
             return 0, 0
-        # at rest an input is alike as well, but does not move
+        # at rest an input repeats itself as well, but is zero
         moves = ndimage.sum_labels(before * after, parts, np.arange(1, count + 1))
         (part,) = ndimage.find_objects(parts)[int(np.argmax(moves))]
         first, last = max(first, part.start), min(last, part.stop + period)
@@ -231,7 +232,7 @@ def _periodic_part(inputs: NDArray[np.float64], period: int) -> tuple[int, int]:
 def _without_transient(
     spectra: NDArray[np.complex128], lines: NDArray[np.int64], periods: int
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], float]:
-    """Steady spectra at lines of the period, what is left over beside them, and the factor from that to their error.
+    """Steady spectra at lines of the period, residuals of the lines in between, and the factor from these to the error.
 
     Shapes (lines, channels) and (lines, lines in between, channels).
     """
@@ -239,9 +240,9 @@ def _without_transient(
     offsets = offsets[offsets % periods != 0]
     order = min(ORDER, len(offsets) - 2)
     q, r = np.linalg.qr((offsets / offsets.max())[:, None] ** np.arange(order + 1))
-    beside = spectra[(lines[:, None] * periods + offsets) % len(spectra)]
+    between = spectra[(lines[:, None] * periods + offsets) % len(spectra)]
     at_line = np.linalg.solve(r, q.T)[0]
-    steady = spectra[lines * periods] - np.einsum("j,ljc->lc", at_line, beside)
-    left_over = beside - np.einsum("jk,lkc->ljc", q @ q.T, beside)
+    steady = spectra[lines * periods] - np.einsum("j,ljc->lc", at_line, between)
+    left_over = between - np.einsum("jk,lkc->ljc", q @ q.T, between)
     freedom = 1 - (order + 1) / len(offsets)
     return steady, left_over, float(np.sqrt((1 + at_line @ at_line) / freedom))

@@ -1,7 +1,7 @@
-"""Transfer functions by Welch's method: averages over overlapping windowed pieces (Bendat and Piersol 2010, ch. 6).
+"""Transfer functions by Welch's method: averages over overlapping windowed segments (Bendat and Piersol 2010, ch. 6).
 
-The usual "FFT technique". Its pieces are shorter than the record, so that leakage at lightly damped modes, not noise,
-is its error; it stands here to be compared with.
+The usual "FFT technique", for comparison. Its segments are shorter than the record, so that its error is leakage at
+lightly damped modes, not noise.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 from scipy import fft, signal
 
 from abrace_core.errors import AbraceError
-from abrace_sysid.spectra.fourier import all_of, held_input, lines_within
-from abrace_sysid.spectra.transfer_function import FrequencyResponse
+from abrace_sysid.spectra.fourier import held_input, lines_within, runs_of_one_rig
+from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,26 +39,26 @@ def welch(
     Parameters
     ----------
     run
-        The test, or repeated ones, of any length: all their pieces are averaged.
+        The test, or repeated ones, of any length: all their segments are averaged.
     input_name
         The input that was excited. Another that is excited with it, uncorrelated, counts as noise.
     band
         Lowest and highest frequency [Hz].
     segment
-        Samples in each averaged piece.
+        Samples in each averaged segment.
     estimator
         "H1": noise in the outputs; "H2": in the input; "Hv": in both, the geometric mean.
     window
         A name that scipy.signal.get_window knows.
     overlap
-        Of neighbouring pieces, 0 to less than 1.
+        Of neighbouring segments, 0 to less than 1.
 
     Raises
     ------
     AbraceError
         If the tests have fewer than two segments, or an option is not one of those above.
     """
-    runs = all_of(run)
+    runs = runs_of_one_rig(run)
     samples = sum(len(each.outputs) for each in runs)
     source = " and ".join(each.source for each in runs)
     if not (2 <= segment <= samples // 2 and all(segment <= len(each.outputs) for each in runs)):
@@ -83,9 +83,7 @@ def welch(
         ratio = np.divide(1.0, excess, out=np.full_like(excess, np.inf), where=excess > 0)
         response, sigma = response * ratio, sigma * ratio
     method = f"Welch, {estimator}, {window}, overlap {overlap:g}, {segment} points"
-    return FrequencyResponse(
-        input_name, runs[0].names, omega, response, sigma, runs[0].sample_period, method, coherence
-    )
+    return FrequencyResponse(input_name, runs[0].names, omega, response, sigma, runs[0].sample_period, method)
 
 
 def coherence_of(
@@ -102,7 +100,7 @@ def coherence_of(
     band
         Lowest and highest frequency [Hz].
     segment
-        Samples in each averaged piece.
+        Samples in each averaged segment.
     """
     lines, _ = lines_within(run, segment, band)
     taper = signal.get_window("hann", segment)
@@ -138,10 +136,10 @@ def _coherence(
     return np.divide(np.abs(cross) ** 2, scale, out=np.zeros_like(scale), where=scale > 0).clip(0, 1)
 
 
-def _independent(pieces: int, taper: NDArray[np.float64], step: int) -> float:
-    """How many independent pieces overlapping ones are worth (Welch 1967)."""
+def _independent(segments: int, taper: NDArray[np.float64], step: int) -> float:
+    """How many independent segments overlapping ones are worth (Welch 1967)."""
     correlation = [
-        (1 - apart / pieces) * (taper[: -apart * step] @ taper[apart * step :] / (taper @ taper)) ** 2
-        for apart in range(1, min(pieces, -(-len(taper) // step)))
+        (1 - apart / segments) * (taper[: -apart * step] @ taper[apart * step :] / (taper @ taper)) ** 2
+        for apart in range(1, min(segments, -(-len(taper) // step)))
     ]
-    return float(pieces / (1 + 2 * sum(correlation)))
+    return float(segments / (1 + 2 * sum(correlation)))

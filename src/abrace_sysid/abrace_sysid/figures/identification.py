@@ -1,7 +1,4 @@
-"""Figures in the manner of the paper's Figs. 3 to 6, a pole chart and the Hankel singular values.
-
-Each function returns a matplotlib Figure; `abrace_core.drawing` has the colours and saves it.
-"""
+"""Figures of an identification: transfer functions as in Figs. 3 to 5, poles, and the errors of its models."""
 
 from __future__ import annotations
 
@@ -14,33 +11,23 @@ from scipy.ndimage import uniform_filter1d
 
 from abrace_core import signals
 from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
-from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
-from abrace_core.response import paper_unit
-from abrace_core.simulation import discretize
-from abrace_sysid.models.realization import HOLDS
+from abrace_sysid.figures.symbols import symbol
+from abrace_sysid.spectra.frequency_response import sampled_response
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from abrace_core.linear_model import LinearModel
-    from abrace_core.run import Run
     from abrace_sysid.fitting.pole_estimate import PoleInterval
+    from abrace_sysid.fitting.stabilization import Stabilization
     from abrace_sysid.models.reduction import OrderErrors
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
-    from abrace_sysid.validation import Comparison
 
 
-def transfer_functions(
-    measured: FrequencyResponse,
-    channels: Sequence[str],
-    fitted: LinearModel,
-    reference: LinearModel | None = None,
-    reference_label: str = "rig",
-) -> Figure:
+def transfer_functions(measured: FrequencyResponse, channels: Sequence[str], fitted: LinearModel) -> Figure:
     """Amplitude and phase of some channels, measured and fitted: Figs. 3, 4 and 5.
 
     Parameters
@@ -49,22 +36,17 @@ def transfer_functions(
         Of the sampled rig.
     channels
         Outputs to show, one column each.
-    fitted, reference
-        Continuous models; their curves are drawn as sampled, with hold and delay, as the measured one is.
-    reference_label
-        What the reference is.
+    fitted
+        Continuous model; its curve is drawn as sampled, with hold and delay, as the measured one is.
     """
     figure = Figure(figsize=(4.8 * len(channels), 5.6), layout="constrained")
     axes = figure.subplots(2, len(channels), sharex=True, squeeze=False)
     frequency = measured.omega / (2 * np.pi)
     points = measured.select(channels).response
-    curves: list[tuple[NDArray[np.complex128], str, dict[str, Any]]] = [
-        (points, "measured", {"color": MEASURED, "marker": ".", "ms": 2.5, "ls": "none"})
-    ]
-    if reference is not None:
-        style = {"color": REFERENCE, "lw": 1.2, "ls": "--"}
-        curves.append((_sampled(reference, measured, channels), reference_label, style))
-    curves.append((_sampled(fitted, measured, channels), "fitted", {"color": SIMULATED, "lw": 1.2}))
+    curves: tuple[tuple[NDArray[np.complex128], str, dict[str, Any]], ...] = (
+        (points, "measured", {"color": MEASURED, "marker": ".", "ms": 2.5, "ls": "none"}),
+        (sampled_response(fitted.select(channels), measured), "fitted", {"color": SIMULATED, "lw": 1.2}),
+    )
     for j, name in enumerate(channels):
         amplitude, phase = axes[:, j]
         for response, label, style in curves:
@@ -72,7 +54,7 @@ def transfer_functions(
             phase.plot(frequency, _phase(response[:, j]), **style)
         size = np.abs(points[:, j])
         amplitude.set_ylim(size.min() / 2, size.max() * 2)
-        amplitude.set_title(f"{_symbol(name)} / {_symbol(measured.input)}")
+        amplitude.set_title(f"{symbol(name)} / {symbol(measured.input)}")
         amplitude.set_ylabel(f"amplitude [{_ratio_unit(name, measured.input)}]")
         phase.set_ylabel("phase angle [deg]")
         phase.set_yticks(np.arange(-180, 181, 90))
@@ -129,7 +111,7 @@ def hankel_singular_values(values: NDArray[np.float64], kept: int) -> Figure:
 
 
 def reduction_errors(errors: OrderErrors, kept: int, inputs: Sequence[str] = (signals.GROUND, "U")) -> Figure:
-    """What each order of the reduced model costs: every channel's error for each input, and the order `kept`.
+    """Errors of the reduced model by its order: every channel's for each input, and the order `kept`.
 
     Parameters
     ----------
@@ -144,7 +126,7 @@ def reduction_errors(errors: OrderErrors, kept: int, inputs: Sequence[str] = (si
     axis = figure.subplots()
     for j, (name, colour) in enumerate(zip(inputs, (MEASURED, SIMULATED) * 9, strict=False)):
         axis.semilogy(errors.orders, 100 * errors.achieved[:, :, j], color=colour, lw=0.9)
-        axis.plot([], [], color=colour, label=f"from {_symbol(name)}, each channel")
+        axis.plot([], [], color=colour, label=f"from {symbol(name)}, each channel")
     axis.set_ylim(bottom=max(axis.get_ylim()[0], 1e-4))
     axis.axvline(kept, color=REFERENCE, ls="--", label=f"kept ({kept})")
     axis.set_xlabel("states of the reduced model")
@@ -155,7 +137,7 @@ def reduction_errors(errors: OrderErrors, kept: int, inputs: Sequence[str] = (si
 
 
 def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Figure:
-    """What a model leaves over of measured transfer functions, beside their uncertainty: a column each.
+    """Residuals of a model against measured transfer functions, and over their standard deviations: a column each.
 
     Each curve is the rms over the neighbouring hundredth of the lines: single ones scatter too much to be read.
 
@@ -170,14 +152,14 @@ def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Fig
     axes = figure.subplots(2, len(measured), sharex="col", squeeze=False)
     for j, response in enumerate(measured):
         frequency = response.omega / (2 * np.pi)
-        left_over = np.abs(_sampled(fitted, response, response.outputs) - response.response)
+        left_over = np.abs(sampled_response(fitted.select(response.outputs), response) - response.response)
         size = np.sqrt(np.mean(np.abs(response.response) ** 2, axis=0))
         neighbours = max(1, len(frequency) // 100)
         for axis, relative in zip(axes[:, j], (left_over / size, left_over / response.sigma), strict=True):
             smooth = np.sqrt(uniform_filter1d(relative**2, neighbours, axis=0))
             for name, column in zip(response.outputs, smooth.T, strict=True):
-                axis.semilogy(frequency, column, lw=1.0, label=_symbol(name))
-        axes[0, j].set_title(f"from {_symbol(response.input)}")
+                axis.semilogy(frequency, column, lw=1.0, label=symbol(name))
+        axes[0, j].set_title(f"from {symbol(response.input)}")
         axes[1, j].axhline(1.0, color=REFERENCE, lw=0.8)
         axes[1, j].set_xlabel("frequency [Hz]")
     axes[0, 0].set_ylabel("residual over rms response [-]")
@@ -225,79 +207,48 @@ def confidence(sets: Mapping[str, Sequence[PoleInterval]]) -> Figure:
     return figure
 
 
-def time_histories(
-    comparison: Comparison, channels: Sequence[str] = ("x3", "a1"), zoom: tuple[float, float] | None = None
-) -> Figure:
-    """Measured against simulated responses in the paper's units: Fig. 6.
+def stabilization_diagram(found: Stabilization, reference: list[float] | None = None) -> Figure:
+    """Poles of rising order; behind them the mean amplitude of all channels.
 
     Parameters
     ----------
-    comparison
+    found
         What to draw.
-    channels
-        One row each.
-    zoom
-        Seconds to show enlarged in a second column.
+    reference
+        Frequencies to mark [rad/s], such as those of a fit.
     """
-    missing = [name for name in channels if name not in comparison.names]
-    if missing:
-        raise AbraceError(
-            f"figure of {comparison.source}: no channel {', '.join(missing)}, expected any of "
-            f"{', '.join(comparison.names)}"
-        )
-    columns = 1 if zoom is None else 2
-    figure = Figure(figsize=(7.0 * columns, 2.6 * len(channels)), layout="constrained")
-    axes = figure.subplots(len(channels), columns, squeeze=False, sharex="col")
-    for i, name in enumerate(channels):
-        factor, unit = paper_unit(name)
-        j = comparison.names.index(name)
-        for axis in axes[i]:
-            _history(axis, comparison, j, factor)
-        axes[i, 0].set_ylabel(f"{_symbol(name)} [{unit}]")
-    axes[0, 0].legend(loc="upper right", ncols=2)
-    axes[0, 0].set_xlim(comparison.time[0], comparison.time[-1])
-    if zoom is not None:
-        axes[0, 1].set_xlim(*zoom)
-        axes[0, 1].set_title(f"{zoom[0]:g} to {zoom[1]:g} s")
-    for axis in axes[-1]:
-        axis.set_xlabel("time [s]")
+    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
+    axis = figure.subplots()
+    behind = axis.twinx()
+    amplitude = np.abs(found.measured.response)
+    size = np.sqrt(np.mean(amplitude**2, axis=0))
+    mean = np.exp(np.mean(np.log(np.maximum(amplitude / np.where(size > 0, size, 1.0), 1e-12)), axis=1))
+    behind.semilogy(found.measured.omega / (2 * np.pi), mean, color=REFERENCE, lw=0.8, alpha=0.7)
+    behind.set_ylabel("mean amplitude of the channels [-]")
+    axis.set_zorder(behind.get_zorder() + 1)
+    axis.patch.set_visible(False)
+    for frequency in reference or ():
+        axis.axvline(frequency / (2 * np.pi), color="k", lw=0.6, ls=":")
+    kinds: tuple[tuple[str, dict[str, Any]], ...] = (
+        ("new", {"marker": ".", "color": REFERENCE, "ms": 4}),
+        ("same frequency", {"marker": "+", "color": MEASURED, "ms": 6}),
+        ("and damping", {"marker": "x", "color": MEASURED, "ms": 6}),
+        ("and mode shape", {"marker": "o", "color": SIMULATED, "ms": 6, "mfc": "none"}),
+    )
+    for level, (label, style) in enumerate(kinds):
+        x, y = [], []
+        for poles in found.orders:
+            reached = np.where(poles.same, 3, np.where(poles.same_damping, 2, np.where(poles.same_frequency, 1, 0)))
+            chosen = poles.frequency[reached == level] / (2 * np.pi)
+            x += list(chosen)
+            y += [poles.order] * len(chosen)
+        axis.plot(x, y, ls="none", label=label, **style)
+    axis.set_xlim(0, found.measured.omega[-1] / (2 * np.pi))
+    axis.set_xlabel("frequency [Hz]")
+    axis.set_ylabel("number of poles")
+    axis.set_yticks([poles.order for poles in found.orders][:: max(1, len(found.orders) // 10)])
+    figure.legend(*axis.get_legend_handles_labels(), loc="outside upper center", ncols=len(kinds), fontsize="small")
     return figure
-
-
-def control_effect(uncontrolled: Run, controlled: Run, channels: Sequence[str]) -> Figure:
-    """The same test measured without and with control, in the paper's units.
-
-    Parameters
-    ----------
-    uncontrolled, controlled
-        Runs of one rig.
-    channels
-        One row each.
-    """
-    figure = Figure(figsize=(7.0, 2.6 * len(channels)), layout="constrained")
-    axes = figure.subplots(len(channels), 1, squeeze=False, sharex=True)[:, 0]
-    for axis, name in zip(axes, channels, strict=True):
-        factor, unit = paper_unit(name)
-        for run, label, colour in ((uncontrolled, "uncontrolled", REFERENCE), (controlled, "controlled", MEASURED)):
-            axis.plot(run.time, factor * run.channels([name])[:, 0], color=colour, lw=1.0, label=label)
-        axis.set_ylabel(f"{_symbol(name)} [{unit}]")
-        axis.grid(alpha=0.3)
-    axes[0].legend(loc="upper right", ncols=2)
-    axes[-1].set_xlim(controlled.time[0], controlled.time[-1])
-    axes[-1].set_xlabel("time [s]")
-    return figure
-
-
-def _history(axis: Axes, comparison: Comparison, j: int, factor: float) -> None:
-    axis.plot(comparison.time, factor * comparison.measured[:, j], color=MEASURED, lw=1.6, label="measured")
-    axis.plot(comparison.time, factor * comparison.simulated[:, j], color=SIMULATED, lw=1.0, ls="--", label="simulated")
-    axis.grid(alpha=0.3)
-
-
-def _sampled(model: LinearModel, measured: FrequencyResponse, channels: Sequence[str]) -> NDArray[np.complex128]:
-    """(lines, channels) the response of a continuous model as the measured one was taken."""
-    sampled = discretize(model.select(channels, [measured.input]), measured.sample_period, HOLDS)
-    return sampled.frequency_response(measured.omega)[:, :, 0]
 
 
 def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
@@ -310,15 +261,6 @@ def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
 def _frequency_and_percent(poles: NDArray[np.complex128]) -> tuple[list[float], list[float]]:
     pairs = pole_table(poles)
     return [frequency for frequency, _ in pairs], [100 * ratio for _, ratio in pairs]
-
-
-def _symbol(name: str) -> str:
-    """The paper's symbol for a signal."""
-    if name == signals.GROUND:
-        return "$W$"
-    if name[0] == "a":
-        return rf"$\ddot{{x}}_{{{name[1:]}a}}$"
-    return f"${name[0]}_{{{name[1:]}}}$" if len(name) > 1 else f"${name}$"
 
 
 def _ratio_unit(output: str, input_name: str) -> str:

@@ -1,0 +1,1 @@
+"""Identifications and validations to matplotlib Figures; `abrace_core.drawing` has the colours and saves them."""
