@@ -3,7 +3,7 @@
 kills, opened       loggers killed at random moments, and bags of theirs that could be read
 missing             messages that those bags lack before their end
 worst_gap_seconds   from a bag's last message to the kill, the worst topic of all
-damaged_files, tracebacks, wrong_values, unsaid, least_read, read_fraction   as `bag_damage.py` has them
+damaged_files, tracebacks, wrong_values, unreported, least_read, read_fraction   as `bag_damage.py` has them
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bag_damage import damage, damage_claims
+from bag_damage import damage
 from claims import Claim
 from isolation import isolated
 from logger_endurance import NUMBERED, RATE, kills, logger_command, publishers, running, stop
@@ -38,6 +38,16 @@ def verify_bags() -> tuple[dict[str, Any], list[Claim]]:
         *damage_claims(values),
     ]
     return values, claims
+
+
+def damage_claims(found: dict[str, Any]) -> list[Claim]:
+    """What is claimed of `damage`."""
+    return [
+        Claim("bags: tracebacks in damaged files", found["tracebacks"], 0, f"{found['damaged_files']} files"),
+        Claim("bags: wrong values in damaged files", found["wrong_values"], 0, "-"),
+        Claim("bags: missing and not reported, topics", found["unreported"], 0, "-"),
+        Claim("bags: read of what is whole", found["read_fraction"], 0.99, "-", least=True),
+    ]
 
 
 def recorded_bag(bag: Path) -> Path:

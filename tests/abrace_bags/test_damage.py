@@ -58,7 +58,7 @@ def test_sixty_cuts_and_sixty_flips_give_all_that_is_whole_and_nothing_wrong(tmp
     write_bag(tmp_path / "bag", 1500, flush_every=25)
     found = damage(tmp_path / "bag", 60, 60)
     assert found["damaged_files"] == 120
-    assert (found["tracebacks"], found["wrong_values"], found["unsaid"]) == (0, 0, 0)
+    assert (found["tracebacks"], found["wrong_values"], found["unreported"]) == (0, 0, 0)
     assert found["read_fraction"] >= 0.99
     assert found["least_read"] >= 0.99
 

@@ -1,7 +1,7 @@
-"""The logger under load: three topics beside a loaded core, floods, and `kill -9` at random moments.
+"""The logger under load: three topics on a machine with a loaded core, floods, and `kill -9` at random moments.
 
-For `make verify` and `make soak`, and in short for `make test`. Run by itself it is the subscription that floods are
-measured beside: it writes nothing.
+For `make verify` and `make soak`, and in short for `make test`. Run as a program it is the bare subscription that
+floods are compared with: it writes nothing.
 """
 
 from __future__ import annotations
@@ -79,14 +79,14 @@ class Publishers:
             self.matched.update((entry.key, entry.value) for entry in status.values)
 
     def wait_for_match(self, topics: Sequence[str]) -> None:
-        """Until the subscriber says that it has found us, and we have found it."""
+        """Wait until the subscriber reports that it is matched with us, and we with it."""
         deadline = time.monotonic() + PATIENCE
         while not all(
             self.matched.get(f"publishers of {topic}") == "1" and self.publishers[topic].get_subscription_count() == 1
             for topic in topics
         ):
             if time.monotonic() > deadline:
-                raise AbraceError(f"no subscriber within {PATIENCE:g} s, it said {self.matched}")
+                raise AbraceError(f"no subscriber within {PATIENCE:g} s, it reported {self.matched}")
             self.executor.spin_once(timeout_sec=0.02)
 
     def publish(self, rate: float, duration: float, topics: Sequence[str]) -> float:
@@ -142,13 +142,13 @@ def logger_command(namespace: str, bag: Path, topics: Sequence[str]) -> list[str
 
 
 def stop(process: subprocess.Popen[bytes], log: Path) -> str:
-    """End a process that does so by itself on SIGINT; returns what it said."""
+    """End a process that does so by itself on SIGINT; returns its output."""
     process.send_signal(signal.SIGINT)
     code = process.wait(PATIENCE)
-    said = log.read_text(errors="replace")
+    output = log.read_text(errors="replace")
     if code:
-        raise AbraceError(f"{process.args!r} ended with {code}: {said}")
-    return said
+        raise AbraceError(f"{process.args!r} ended with {code}: {output}")
+    return output
 
 
 def cpu_seconds(process: int) -> float:
@@ -203,7 +203,7 @@ def kills(count: int, seed: int = 1, shown: Step | None = None) -> dict[str, Any
 
 
 def record_steadily(duration: float) -> dict[str, Any]:
-    """Three topics at 500 Hz for so many seconds, beside a loaded core: messages, losses."""
+    """Three topics at 500 Hz for so many seconds while another process loads a core: messages, losses."""
     topics = list(NUMBERED)
     with publishers() as (rig, folder):
         bag, log = folder / "bag", folder / "logger.log"
@@ -230,8 +230,10 @@ def flood_rate(bare: bool, duration: float, first: float, highest: float) -> tup
             with running(command, log) as process:
                 rig.wait_for_match(["response"])
                 reached = rig.publish(rate, duration, ["response"])
-                said = stop(process, log)
-            count = int(said.split()[-1]) if bare else np.unique(recorded(bag, rig.namespace)["response"][0]).size
+                output = stop(process, log)
+            count = (
+                int(output.splitlines()[-1]) if bare else np.unique(recorded(bag, rig.namespace)["response"][0]).size
+            )
         if count < rig.count:
             return best, True
         best = max(best, reached)
@@ -254,27 +256,27 @@ def flood_rates(duration: float = 5.0, first: float = 5000.0, highest: float = 2
 
 
 def bare_subscription(namespace: str) -> None:
-    """A raw subscription that only counts; says on diagnostics when it is matched, and its count on SIGINT."""
+    """A raw subscription that only counts; reports on diagnostics when it is matched, prints its count on SIGINT."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("bare", namespace=namespace)
     count = 0
 
-    def heard(_: bytes) -> None:
+    def on_response(_: bytes) -> None:
         nonlocal count
         count += 1
 
-    subscription = node.create_subscription(Response, "response", heard, KEPT_STREAM_QOS, raw=True)
+    subscription = node.create_subscription(Response, "response", on_response, KEPT_STREAM_QOS, raw=True)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     diagnostics = node.create_publisher(DiagnosticArray, "diagnostics", 10)
-    told = time.monotonic()
+    published = time.monotonic()
     stopped = threading.Event()
-    # an exception could come between taking a message and counting it
+    # an exception could come between receiving a message and counting it
     signal.signal(signal.SIGINT, lambda *_: stopped.set())
     while not stopped.is_set():
         executor.spin_once(timeout_sec=0.1)
-        if time.monotonic() > told + 0.5:
-            told = time.monotonic()
+        if time.monotonic() > published + 0.5:
+            published = time.monotonic()
             entry = KeyValue(key="publishers of response", value=str(subscription.get_publisher_count()))
             diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(values=[entry])]))
     waiting = -1

@@ -1,4 +1,4 @@
-"""Bags that are cut off or damaged: what is read of them is right, nearly all that is whole is read, the rest is said.
+"""Bags that are cut off or damaged: what is read is right, nearly all that is whole is read, the rest is reported.
 
 A bag's file is cut at random lengths, and copies of it get one flipped bit at random places. Each is read; every
 message that comes must be one of the bag's. Whole are the messages of chunks that the damage does not touch.
@@ -6,11 +6,11 @@ message that comes must be one of the bag's. Whole are the messages of chunks th
 damaged_files   files read: as many cut off as with a flipped bit
 tracebacks      reads that ended with another error than an AbraceError
 wrong_values    messages read that are not in the bag, or come twice
-unsaid          topics with missing messages that no warning and no error names
+unreported      topics with missing messages that no warning and no error names
 least_read      least fraction of the whole messages of one file that was read
 read_fraction   fraction of the whole messages of all files that was read
 
-python benchmarks/bag_damage.py BAG
+python tests/support/bag_damage.py BAG
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from claims import Claim
 from mcap.reader import make_reader
+from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from abrace_bags import read_topics
@@ -47,13 +47,13 @@ def damage(bag: Path, cuts: int = 1000, flips: int = 1000, shown: Step | None = 
     chunks = chunk_messages(path)
     chosen = np.random.default_rng(SEED)
     cut_lengths = chosen.integers(1, len(content), cuts)
-    places, bits = chosen.integers(0, len(content), flips), chosen.integers(0, 8, flips)
-    found = {"damaged_files": 0, "tracebacks": 0, "wrong_values": 0, "unsaid": 0}
+    offsets, bits = chosen.integers(0, len(content), flips), chosen.integers(0, 8, flips)
+    found = {"damaged_files": 0, "tracebacks": 0, "wrong_values": 0, "unreported": 0}
     fractions, read_messages, whole_messages = [], 0, 0
     with tempfile.TemporaryDirectory() as folder:
         damaged = Path(folder) / "damaged.mcap"
 
-        def look(expected: int) -> None:
+        def read_once(expected: int) -> None:
             nonlocal read_messages, whole_messages
             outcome, count = read_damaged(damaged, whole)
             found["damaged_files"] += 1
@@ -68,12 +68,12 @@ def damage(bag: Path, cuts: int = 1000, flips: int = 1000, shown: Step | None = 
 
         for length in cut_lengths.tolist():
             damaged.write_bytes(content[:length])
-            look(sum(count for _, end, count in chunks if end <= length))
-        for place, bit in zip(places.tolist(), bits.tolist(), strict=True):
+            read_once(sum(count for _, end, count in chunks if end <= length))
+        for offset, bit in zip(offsets.tolist(), bits.tolist(), strict=True):
             flipped = bytearray(content)
-            flipped[place] ^= 1 << bit
+            flipped[offset] ^= 1 << bit
             damaged.write_bytes(flipped)
-            look(sum(count for begin, end, count in chunks if not begin <= place < end))
+            read_once(sum(count for begin, end, count in chunks if not begin <= offset < end))
     return {**found, "least_read": min(fractions), "read_fraction": read_messages / whole_messages}
 
 
@@ -86,7 +86,7 @@ def read_damaged(path: Path, whole: dict[str, NDArray[np.uint64]]) -> tuple[dict
     except Exception as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return {"tracebacks": 1}, 0
-    wrong, right, unsaid = 0, 0, 0
+    wrong, right, unreported = 0, 0, 0
     for topic, messages in contents.items():
         read = fingerprints(messages)
         good = np.isin(np.unique(read), whole.get(topic, np.empty(0, np.uint64)))
@@ -94,9 +94,9 @@ def read_damaged(path: Path, whole: dict[str, NDArray[np.uint64]]) -> tuple[dict
         wrong += read.size - int(good.sum())
     for topic, expected in whole.items():
         missing = expected.size - (contents[topic].log_time.size if topic in contents else 0)
-        unsaid += bool(missing and topic in contents and not any(topic in warning for warning in contents.warnings))
-        unsaid += bool(missing and not contents.warnings)
-    return {"wrong_values": wrong, "unsaid": unsaid}, right
+        unreported += bool(missing and topic in contents and not any(topic in warning for warning in contents.warnings))
+        unreported += bool(missing and not contents.warnings)
+    return {"wrong_values": wrong, "unreported": unreported}, right
 
 
 def fingerprints(messages: TopicArrays) -> NDArray[np.uint64]:
@@ -124,20 +124,10 @@ def chunk_messages(path: Path) -> list[tuple[int, int, int]]:
         summary = make_reader(file).get_summary()
         assert summary is not None
         file.seek(0)
-        chunks = [record for record in StreamReader(file, emit_chunks=True).records if type(record).__name__ == "Chunk"]
-    counts = [sum(type(record).__name__ == "Message" for record in breakup_chunk(chunk)) for chunk in chunks]
-    places = sorted((index.chunk_start_offset, index.chunk_length) for index in summary.chunk_indexes)
-    return [(offset, offset + length, count) for (offset, length), count in zip(places, counts, strict=True)]
-
-
-def damage_claims(found: dict[str, Any]) -> list[Claim]:
-    """What is claimed of `damage`."""
-    return [
-        Claim("bags: tracebacks in damaged files", found["tracebacks"], 0, f"{found['damaged_files']} files"),
-        Claim("bags: wrong values in damaged files", found["wrong_values"], 0, "-"),
-        Claim("bags: missing and not said, topics", found["unsaid"], 0, "-"),
-        Claim("bags: read of what is whole", found["read_fraction"], 0.99, "-", least=True),
-    ]
+        chunks = [record for record in StreamReader(file, emit_chunks=True).records if isinstance(record, Chunk)]
+    counts = [sum(isinstance(record, Message) for record in breakup_chunk(chunk)) for chunk in chunks]
+    positions = sorted((index.chunk_start_offset, index.chunk_length) for index in summary.chunk_indexes)
+    return [(offset, offset + length, count) for (offset, length), count in zip(positions, counts, strict=True)]
 
 
 if __name__ == "__main__":
