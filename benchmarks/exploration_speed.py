@@ -40,7 +40,7 @@ def measure() -> dict[str, Any]:
     """Seconds; for bench.json."""
     from abrace_lqg.exploration.cluster import cluster
     from abrace_lqg.exploration.ensemble import noise_motion
-    from abrace_lqg.exploration.search import Study, evaluate, explore, weight_sets
+    from abrace_lqg.exploration.study import Study, evaluate, explore, weight_sets
     from abrace_lqg.weights import load_weights
     from abrace_plant.rig.file import load_rig
     from abrace_sysid.identification import identify

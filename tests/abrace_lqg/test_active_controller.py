@@ -11,7 +11,7 @@ from abrace_core.controller_file import Controller
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_lqg.active_controller import WARM_UP, ActiveController
-from abrace_lqg.controller import ControlLaw
+from abrace_lqg.control_law import ControlLaw
 
 PERIOD, RAMP = 0.002, 0.5
 STEPS, WARM = round(RAMP / PERIOD), round(WARM_UP / PERIOD)

@@ -14,10 +14,10 @@ from scipy import linalg
 
 from abrace_core.response import TABLE_1_EXPERIMENT, PeakRms, in_paper_units, mean_relative_error, peak_rms_of
 from abrace_core.simulation import simulate_closed_loop
+from abrace_lqg.analysis.margins import margins
+from abrace_lqg.analysis.mode_damping import mode_effects
 from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.loop import closed_loop_poles, sampled
-from abrace_lqg.margins.loop_margins import margins
-from abrace_lqg.margins.mode_damping import mode_effects
 from abrace_lqg.weights import Weights, load_weights
 from abrace_plant.records.files import read_record
 from abrace_plant.records.treatment import Treatment, prepare

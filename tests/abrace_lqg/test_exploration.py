@@ -17,6 +17,7 @@ from abrace_core.linear_model import LinearModel
 from abrace_core.response import PeakRms
 from abrace_core.run import Run
 from abrace_core.simulation import simulate_closed_loop
+from abrace_lqg.analysis.margins import Margins
 from abrace_lqg.design import design
 from abrace_lqg.exploration import cluster as exploration_cluster
 from abrace_lqg.exploration.cluster import cluster
@@ -24,8 +25,7 @@ from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motio
 from abrace_lqg.exploration.figure import trade_off
 from abrace_lqg.exploration.files import load_set, save_exploration, save_weights, write_set
 from abrace_lqg.exploration.report import pareto_front, report
-from abrace_lqg.exploration.search import Outcome, Study, evaluate, explore, weight_sets
-from abrace_lqg.margins.loop_margins import Margins
+from abrace_lqg.exploration.study import Outcome, Study, evaluate, explore, weight_sets
 from abrace_lqg.weights import KindWeights, Weights, load_weights
 
 PERIOD = 0.01

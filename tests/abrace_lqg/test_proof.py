@@ -13,13 +13,13 @@ from scipy import linalg
 from abrace_core.controller_file import Controller, load_controller, save_controller
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel, save_model
-from abrace_lqg.controller import ControlLaw
+from abrace_lqg.analysis.lost_samples import lost_samples
+from abrace_lqg.analysis.margins import margins
+from abrace_lqg.analysis.mode_damping import mode_effects
+from abrace_lqg.analysis.prediction import Excitation, predicted_rms, rms_without_and_with_control
+from abrace_lqg.control_law import ControlLaw
 from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.loop import closed_loop, is_stable, sampled
-from abrace_lqg.margins.loop_margins import margins
-from abrace_lqg.margins.lost_samples import lost_samples
-from abrace_lqg.margins.mode_damping import mode_effects
-from abrace_lqg.margins.prediction import Excitation, controlled_and_not, predicted_rms
 from abrace_lqg.proof.checks import OBJECTIONS, SHORT_DELAY, UNSTABLE, Proof, prove, require
 from abrace_lqg.proof.figures import loop_figure
 from abrace_lqg.proof.files import load_models, save_proof
@@ -91,7 +91,7 @@ def test_power_of_two_bands_adds_up(rig_model: LinearModel, designed: Controller
 def test_without_control_the_command_is_zero_and_the_building_moves_more(
     rig_model: LinearModel, designed: ControllerDesign
 ):
-    found = controlled_and_not(rig_model, designed.controller, Excitation())
+    found = rms_without_and_with_control(rig_model, designed.controller, Excitation())
     assert list(found) == [*rig_model.outputs, "U"]
     assert found["U"][0] == 0.0 < found["U"][1]
     assert all(controlled < 0.5 * without for name, (without, controlled) in found.items() if name[0] in "xa")

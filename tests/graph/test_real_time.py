@@ -16,7 +16,7 @@ from geometry_msgs.msg import AccelStamped
 from abrace_core.controller_file import Controller, save_controller
 from abrace_core.linear_model import LinearModel
 from abrace_interfaces.msg import BraceCommand, Response
-from abrace_lqg.controller import ControlLaw
+from abrace_lqg.control_law import ControlLaw
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -35,10 +35,10 @@ from abrace_bags.run import read_run
 from abrace_core.errors import AbraceError
 from abrace_core.response import TABLE_1_EXPERIMENT, PeakRms, in_paper_units, mean_relative_error, peak_rms_of
 from abrace_core.simulation import simulate_closed_loop
+from abrace_lqg.analysis.margins import Margins, margins
+from abrace_lqg.analysis.mode_damping import mode_effects
 from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.loop import sampled
-from abrace_lqg.margins.loop_margins import Margins, margins
-from abrace_lqg.margins.mode_damping import mode_effects
 from abrace_lqg.weights import Weights
 from abrace_plant.records.files import read_record
 from abrace_plant.records.treatment import Treatment, prepare

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.errors import AbraceError
-from abrace_lqg.controller import ControlLaw
+from abrace_lqg.control_law import ControlLaw
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

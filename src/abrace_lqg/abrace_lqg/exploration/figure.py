@@ -14,7 +14,7 @@ from abrace_lqg.exploration.report import pareto_front
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from abrace_lqg.exploration.search import Outcome
+    from abrace_lqg.exploration.study import Outcome
 
 MARGINS = (("gain", 1.0, "gain margin (dB)"), ("phase", 1.0, "phase margin (deg)"), ("delay", 1e3, "delay margin (ms)"))
 """Margin, factor from SI units, label."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from abrace_core.linear_model import LinearModel
-    from abrace_lqg.exploration.search import Outcome, Study
+    from abrace_lqg.exploration.study import Outcome, Study
     from abrace_lqg.proof.checks import Proof
 
 FILE_FORMAT = "abrace exploration 1"

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from abrace_lqg.exploration.search import Outcome
+    from abrace_lqg.exploration.study import Outcome
 
 ROWS = 12
 """Sets of the front that are listed, spread evenly over it."""

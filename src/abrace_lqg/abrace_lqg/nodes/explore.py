@@ -19,7 +19,7 @@ from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motio
 from abrace_lqg.exploration.figure import trade_off
 from abrace_lqg.exploration.files import save_exploration, write_set
 from abrace_lqg.exploration.report import report
-from abrace_lqg.exploration.search import Study, explore, weight_sets
+from abrace_lqg.exploration.study import Study, explore, weight_sets
 from abrace_lqg.weights import load_weights
 
 SPANS = ("displacement", "stroke", "acceleration", "force", "noise_to_excitation")

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from abrace_core.errors import AbraceError
+from abrace_lqg.analysis.disk_margin import DiskMargin, disk_margin
+from abrace_lqg.analysis.lost_samples import LostSamples, lost_samples
+from abrace_lqg.analysis.margins import Margins, margins_at
+from abrace_lqg.analysis.mode_damping import ModeEffect, mode_effects
+from abrace_lqg.analysis.prediction import Excitation, rms_without_and_with_control
 from abrace_lqg.loop import closed_loop_poles, is_stable
-from abrace_lqg.margins.disk_margin import DiskMargin, disk_margin
-from abrace_lqg.margins.loop_margins import Margins, margins_at
-from abrace_lqg.margins.lost_samples import LostSamples, lost_samples
-from abrace_lqg.margins.mode_damping import ModeEffect, mode_effects
-from abrace_lqg.margins.prediction import Excitation, controlled_and_not
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -205,7 +205,7 @@ def _prove_with(
         poles=closed_loop_poles(model, controller),
         margins=margins_at(model, controller) if stable else {},
         disk=disk_margin(model, controller) if stable else None,
-        prediction=controlled_and_not(model, controller, excitation) if stable else {},
+        prediction=rms_without_and_with_control(model, controller, excitation) if stable else {},
         modes=mode_effects(model, controller, own),
         lost=[lost_samples(model, controller, designed.correction, excitation, count) for count in LOST_IN_A_ROW]
         if stable

@@ -53,7 +53,7 @@ def loop_figure(proof: Proof, models: Mapping[str, LinearModel], controller: Lin
         omega = loop.frequencies()
         omega = omega[omega >= 2 * np.pi * LOWEST_SHOWN]
         for command in proof.commands:
-            response = loop.at(command, omega)
+            response = loop.transfer_function(command, omega)
             label = f"{command}, {name}" if len(proof.commands) > 1 else name
             style: dict[str, Any] = {"color": SIMULATED, "lw": 1.4}
             if number:
@@ -63,7 +63,7 @@ def loop_figure(proof: Proof, models: Mapping[str, LinearModel], controller: Lin
             nichols.plot(_broken(np.degrees(np.angle(-response)) - 180), decibels, label=label, **style)
             gain.semilogx(omega / (2 * np.pi), decibels, **style)
         if number == 0:
-            size = 20 * np.log10(np.abs(1 - loop.complementary(omega)))
+            size = 20 * np.log10(np.abs(1 - loop.complementary_sensitivity(omega)))
             for place, signal in enumerate(loop.signals):
                 style = {"color": SIMULATED if signal in proof.commands else MEASURED, "ls": LINES[place % len(LINES)]}
                 sensitivity.semilogx(omega / (2 * np.pi), size[:, place], label=signal, lw=1.2, **style)

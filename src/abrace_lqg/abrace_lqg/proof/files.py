@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from abrace_core.linear_model import LinearModel
-    from abrace_lqg.margins.prediction import Excitation
+    from abrace_lqg.analysis.prediction import Excitation
     from abrace_lqg.proof.checks import Proof
     from abrace_lqg.weights import Weights
 

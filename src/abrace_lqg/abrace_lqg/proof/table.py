@@ -11,8 +11,8 @@ from abrace_core.signals import unit
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from abrace_lqg.margins.loop_margins import Margins
-    from abrace_lqg.margins.mode_damping import ModeEffect
+    from abrace_lqg.analysis.margins import Margins
+    from abrace_lqg.analysis.mode_damping import ModeEffect
     from abrace_lqg.proof.checks import ModelProof, Proof
 
 

@@ -22,9 +22,9 @@ from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.response import PeakRms, peak_rms_of
 from abrace_core.simulation import simulate, simulate_closed_loop
+from abrace_lqg.analysis.margins import Margins, margins
 from abrace_lqg.design import design
 from abrace_lqg.loop import sampled
-from abrace_lqg.margins.loop_margins import Margins, margins
 from abrace_lqg.weights import Weights, kind
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from abrace_core.controller_file import Controller
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import simulate, simulate_closed_loop
-from abrace_lqg.controller import REMEMBERED, ControlLaw
+from abrace_lqg.control_law import REMEMBERED, ControlLaw
 from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.loop import sampled
 from abrace_lqg.weights import load_weights
