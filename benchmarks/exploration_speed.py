@@ -38,9 +38,10 @@ def exploration_speed() -> dict[str, Any]:
 
 def measure() -> dict[str, Any]:
     """Seconds; for bench.json."""
-    from abrace_lqg.exploration.cluster import cluster
+    from abrace_lqg.exploration.cluster import cluster, explore
     from abrace_lqg.exploration.ensemble import noise_motion
-    from abrace_lqg.exploration.study import Study, evaluate, explore, weight_sets
+    from abrace_lqg.exploration.study import Study, evaluate
+    from abrace_lqg.exploration.weight_sets import weight_sets
     from abrace_lqg.weights import load_weights
     from abrace_plant.rig.file import load_rig
     from abrace_sysid.identification import identify
@@ -49,7 +50,7 @@ def measure() -> dict[str, Any]:
     laboratory = Laboratory(rig)
     models = identify(laboratory.multisine_test(True, False), laboratory.multisine_test(False, True))
     records = [noise_motion(seed, SECONDS, (0.1, 10.0), PERIOD).scaled(PEAK) for seed in range(RECORDS)]
-    study = Study.of(models.reduced, models.model, records, rig.capacity, PERIOD)
+    study = Study.of(models.reduced, models.model, records, capacity=rig.capacity, sample_period=PERIOD)
     sets = weight_sets(load_weights(SOURCE / "abrace_lqg/config/lqg3.yaml"), SPANS, SETS - 1, 0)
 
     evaluate(study, 0, sets[0])

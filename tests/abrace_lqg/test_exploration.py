@@ -20,12 +20,13 @@ from abrace_core.simulation import simulate_closed_loop
 from abrace_lqg.analysis.margins import Margins
 from abrace_lqg.design import design
 from abrace_lqg.exploration import cluster as exploration_cluster
-from abrace_lqg.exploration.cluster import cluster
+from abrace_lqg.exploration.cluster import cluster, explore
 from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motion
 from abrace_lqg.exploration.figure import trade_off
-from abrace_lqg.exploration.files import load_set, save_exploration, save_weights, write_set
+from abrace_lqg.exploration.files import load_set, save_exploration, write_set
 from abrace_lqg.exploration.report import pareto_front, report
-from abrace_lqg.exploration.study import Outcome, Study, evaluate, explore, weight_sets
+from abrace_lqg.exploration.study import Outcome, Study, evaluate
+from abrace_lqg.exploration.weight_sets import weight_sets
 from abrace_lqg.weights import KindWeights, Weights, load_weights
 
 PERIOD = 0.01
@@ -52,7 +53,7 @@ def records() -> list[Record]:
 
 
 def study(simulation_model: LinearModel | None = None, capacity: np.ndarray = CAPACITY) -> Study:
-    return Study.of(storey(), simulation_model or storey(), records(), capacity, PERIOD)
+    return Study.of(storey(), simulation_model or storey(), records(), capacity=capacity, sample_period=PERIOD)
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +155,7 @@ def test_outcomes_do_not_depend_on_the_cluster_and_no_process_is_left():
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x", "nothing"])
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch, address):
-    monkeypatch.setattr(exploration_cluster, "PATIENCE", 0.3)
+    monkeypatch.setattr(exploration_cluster, "TIMEOUT", 0.3)
     with pytest.raises(AbraceError, match=f"Dask scheduler {address}: does not answer"), cluster(address):
         pass
 
@@ -221,12 +222,6 @@ def test_a_margin_without_end_is_null_in_the_file(outcomes, tmp_path):
     (found,) = json.loads((tmp_path / "exploration.json").read_text())["sets"]
     assert found["margins"] == {"gain": None, "phase": 90.0, "delay": None, "sensitivity_peak": 1.0}
     assert found["relative"]["x1"] == outcomes[0].relative["x1"]._asdict()
-
-
-def test_weights_of_any_size_read_back_as_they_were(tmp_path):
-    weights = given(displacement=1e22).model_copy(update={"noise_to_excitation": 3e-9})
-    save_weights(weights, tmp_path / "w.yaml", "here")
-    assert load_weights(tmp_path / "w.yaml") == weights
 
 
 def test_the_figure_marks_the_given_weights_and_the_picked_set(outcomes):

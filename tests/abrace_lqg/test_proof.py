@@ -23,7 +23,7 @@ from abrace_lqg.loop import closed_loop, is_stable, sampled
 from abrace_lqg.proof.checks import OBJECTIONS, SHORT_DELAY, UNSTABLE, Proof, prove, require
 from abrace_lqg.proof.figures import loop_figure
 from abrace_lqg.proof.files import load_models, save_proof
-from abrace_lqg.proof.table import lines
+from abrace_lqg.proof.table import table_lines
 from abrace_lqg.weights import Weights, load_weights
 from abrace_plant.rig.file import load_rig
 
@@ -129,13 +129,13 @@ def test_each_pole_pair_is_followed_to_its_place_in_the_loop():
     assert low.frequency == pytest.approx(20.0)
     # v' = ... - gain v adds gain / (2 w) of damping, but for the loop's delay of 1.5 samples
     assert low.controlled_damping == pytest.approx(0.02 + 4.0 / 40.0, rel=0.05)
-    assert high.kept == pytest.approx(1.0, abs=1e-6)
+    assert high.damping_kept == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_mode_that_is_pushed_the_wrong_way_loses_damping():
     effects = mode_effects(two_oscillators(-0.1), damper(4.0), two_oscillators(0.0))
     # -0.1 of the gain: 0.4 / (2 * 60) of the damping ratio 0.01 is taken
-    assert effects[1].kept == pytest.approx((0.01 - 0.4 / 120) / 0.01, rel=0.1)
+    assert effects[1].damping_kept == pytest.approx((0.01 - 0.4 / 120) / 0.01, rel=0.1)
     assert all(mode.modelled for mode in effects)
 
 
@@ -204,7 +204,7 @@ def test_a_sound_design_has_nothing_against_it(proof: Proof):
     assert require(proof).accepted == ()
     assert not proof.objections()
     assert proof.margins.gain > 8
-    assert proof.kept > 0.85
+    assert proof.least_damping_kept > 0.85
     assert "gain margin" in proof.summary()
 
 
@@ -220,7 +220,7 @@ def test_a_design_that_is_unstable_with_a_check_model_is_refused_unless_accepted
     accepted = require(found, [UNSTABLE])
     assert accepted.accepted == (UNSTABLE,)
     assert "accepted by name: unstable_with_check_model, the closed loop with turned" in accepted.summary()
-    assert any("NOT STABLE" in line for line in lines(accepted))
+    assert any("NOT STABLE" in line for line in table_lines(accepted))
 
 
 def test_a_delay_margin_under_4_ms_is_refused_unless_accepted_by_name(
@@ -272,13 +272,13 @@ def test_the_proof_is_written_beside_the_controller_and_into_it(
     found = require(prove(designed, models), OBJECTIONS)
     file = tmp_path / "one.yaml"
     written = save_proof(found, models, designed.controller, file)
-    save_controller(controller_of(designed), file, lines(found))
+    save_controller(controller_of(designed), file, table_lines(found))
     assert [path.name for path in written] == ["one_proof.json", "one_loop.png", "one_poles.png", "one_prediction.png"]
     assert all(path.read_bytes()[:4] == b"\x89PNG" for path in written[1:])
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["one.yaml", *(path.name for path in written)])
     np.testing.assert_array_equal(load_controller(file).law.a, designed.controller.a)
     text = file.read_text()
-    assert all(f"# {line}\n" in text for line in lines(found))
+    assert all(f"# {line}\n" in text for line in table_lines(found))
     content = json.loads(written[0].read_text())
     rig, other = content["models"]
     assert content["accepted"] == [UNSTABLE]

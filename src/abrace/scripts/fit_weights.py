@@ -111,7 +111,7 @@ class Outcome(NamedTuple):
             error,
             max(abs(np.array(table[name]) / row - 1).max() for name, row in TABLE_1_EXPERIMENT.items()),
             margins(stand.plant, designed.controller),
-            min(mode.kept for mode in modes),
+            min(mode.damping_kept for mode in modes),
         )
 
     def criterion(self) -> float:

@@ -1,4 +1,4 @@
-"""YAML files that people write: read, checked key by key, and refused with one clear line."""
+"""YAML files: read and checked key by key, refused with one clear line; and numbers written to them."""
 
 from __future__ import annotations
 
@@ -62,3 +62,13 @@ def read_config(path: Path | str, schema: type[Schema], kind: str) -> Schema:
             raise AbraceError(f"{kind} file {path}: {key}: key is missing") from error
         expected = first["msg"].removeprefix("Value error, ")
         raise AbraceError(f"{kind} file {path}: {key}: {first['input']!r}, expected otherwise: {expected}") from error
+
+
+def yaml_number(value: float) -> str:
+    """The shortest YAML text that reads back as the same `value`, with a point, so that ROS takes it for a double.
+
+    >>> yaml_number(28122000000.0), yaml_number(1e22), yaml_number(1e-5), yaml_number(0.1 + 0.2)
+    ('28122000000.0', '1.0e+22', '1.0e-05', '0.30000000000000004')
+    """
+    mantissa, e, exponent = repr(float(value)).partition("e")
+    return (mantissa if "." in mantissa else f"{mantissa}.0") + e + exponent

@@ -45,7 +45,7 @@ class ModeEffect:
     modelled: bool
 
     @property
-    def kept(self) -> float:
+    def damping_kept(self) -> float:
         """Damping ratio with control over that without; above 1 where control adds damping."""
         return self.controlled_damping / self.damping
 

@@ -1,13 +1,8 @@
-"""Many weight sets tried on an ensemble of records, the closed loop of each simulated: choosing Q, R and the noise.
+"""One set of weights tried: designed, its margins computed, and its closed loop run through every record.
 
 Eq. (11) leaves the weights open, and what counts in a test, peaks, saturation and margins, is not what it minimises. So
-each set of weights is designed (Eqs. 11 to 13), its margins are taken, and its loop is run through every record with
-the commands cut to the braces' capacity. Both with the model that simulates, which need not be the one to design with.
-
-The sets are a given one and quasi-random ones around it (Sobol's sequence, scrambled as by Owen, 1998), even in the
-logarithms of the weights. Only ratios of weights count, so the command's stays as it is given.
-
-The first so many sets are the same however many there are, and a set's outcome does not depend on who works it out.
+each set is judged by simulation (Eqs. 11 to 13), with the commands limited to the braces' capacity. Margins and
+simulation are those of a model of their own, which may differ from the one to design with.
 """
 
 from __future__ import annotations
@@ -16,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import qmc
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
@@ -25,68 +19,20 @@ from abrace_core.simulation import simulate, simulate_closed_loop
 from abrace_lqg.analysis.margins import Margins, margins
 from abrace_lqg.design import design
 from abrace_lqg.loop import sampled
-from abrace_lqg.weights import Weights, kind
+from abrace_lqg.weights import Weights, signal_kind
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
-    from distributed import Client
     from numpy.typing import NDArray
 
     from abrace_core.linear_model import LinearModel
     from abrace_lqg.exploration.ensemble import Record
 
-BATCH = 4
-"""Sets that a process works out at a time: few enough for the progress to be seen, many enough to cost no messages."""
-
-
-def weight_sets(given: Weights, spans: Mapping[str, tuple[float, float]], count: int, seed: int) -> list[Weights]:
-    """The given weights, and `count` quasi-random sets around them.
-
-    Parameters
-    ----------
-    given
-        Set number 0.
-    spans
-        By name of a weight (of `KindWeights`, or noise_to_excitation): lowest and highest power of ten that it is
-        multiplied by. Those that are not named stay as they are given.
-    count
-        Of further sets.
-    seed
-        Of the scrambling.
-
-    Raises
-    ------
-    AbraceError
-        If a span is not one, or a weight that is given as zero has one.
-    """
-    file = given.model_dump()
-    start = {**file["weights"], "noise_to_excitation": file["noise_to_excitation"]}
-    names = [name for name, span in spans.items() if tuple(span) != (0.0, 0.0)]
-    for name in names:
-        low, high = spans[name]
-        if not low <= high:
-            raise AbraceError(f"span of {name}: from {low} to {high}, expected the lower power of ten first")
-        if not start[name] > 0:
-            raise AbraceError(
-                f"span of {name}: the weight is given as 0, which no factor changes, expected more than 0"
-            )
-    if not names:
-        raise AbraceError("spans: all are from 0 to 0, expected a weight that differs from set to set")
-    low, high = np.array([spans[name] for name in names]).T
-    # drawn by powers of two, as the sequence is balanced there
-    drawn = qmc.Sobol(len(names), scramble=True, seed=seed).random_base2((count - 1).bit_length())[:count]
-    sets = [given]
-    for factors in 10.0 ** (low + (high - low) * drawn):
-        values = start | {name: start[name] * float(factor) for name, factor in zip(names, factors, strict=True)}
-        noise = values.pop("noise_to_excitation")
-        sets.append(Weights.model_validate(file | {"weights": values, "noise_to_excitation": noise}))
-    return sets
-
 
 @dataclass(frozen=True)
 class Study:
-    """What all sets of weights are tried with; `Study.of` makes it.
+    """Models, ground motions and limits common to all sets of weights; `Study.of` makes it.
 
     Parameters
     ----------
@@ -95,11 +41,11 @@ class Study:
     plant
         To simulate with, at the controllers' sample period.
     records
-        The ensemble.
+        Ground motions.
     zero_command
-        For each record peak and rms of the plant's outputs when the commands are zero [SI units].
+        For each record peak and rms of the plant's outputs with zero command [SI units].
     capacity
-        (commands,) [N].
+        (commands,) [N]; commands are limited to it.
     """
 
     model: LinearModel
@@ -114,21 +60,27 @@ class Study:
         model: LinearModel,
         simulation_model: LinearModel,
         records: Iterable[Record],
+        *,
         capacity: NDArray[np.float64],
         sample_period: float,
     ) -> Study:
-        """The study of controllers for a rig.
+        """Check that models, records and limits fit each other, and simulate the records with zero command.
 
         Parameters
         ----------
         model, simulation_model
-            Continuous, to design and to simulate with: from the ground acceleration and the same commands.
+            Continuous, to design and to simulate with; both from the ground acceleration and the same commands.
         records
             Ground motions at the sample period.
         capacity
             (commands,) [N].
         sample_period
             Of the controllers [s].
+
+        Raises
+        ------
+        AbraceError
+            If there are no records, or signals and force limits of the models differ.
         """
         records = tuple(records)
         if not records:
@@ -150,7 +102,7 @@ class Study:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one set of weights.
+    """Result of one set of weights.
 
     Parameters
     ----------
@@ -159,16 +111,16 @@ class Outcome:
     weights
         The set.
     refused
-        Why there is no controller with these weights; empty: there is one.
+        Why these weights give no controller; empty: they give one.
     margins
-        Of the loop with the simulating model.
+        Of the loop with the simulation model.
     relative
-        Peak and rms of each response, over those with zero command, mean of the records; without responses that a
-        zero command leaves at zero (an ideal actuator's force).
+        Peak and rms of each response over those with zero command, mean of the records; without responses that are zero
+        with zero command (an ideal actuator's force).
     command
-        Peak of all commands in all records, and their rms [N].
+        Peak and rms of all commands in all records [N].
     saturated
-        Samples at which a command was cut, of all records.
+        Number of samples of all records at which a command was limited.
     records
         For each record peak and rms of the responses and commands [SI units].
     """
@@ -182,14 +134,13 @@ class Outcome:
     saturated: int = 0
     records: tuple[Mapping[str, PeakRms], ...] = ()
 
-    def response(self, of_kind: str) -> float:
-        """Rms over that with zero command, mean over the responses of a kind (`of_kind`, as in `kind`) and records."""
-        found = [row.rms for name, row in (self.relative or {}).items() if kind(name) == of_kind]
-        return float(np.mean(found))
+    def response(self, kind: str) -> float:
+        """Rms over that with zero command, mean over records and responses of a `kind` (as in `signal_kind`)."""
+        return float(np.mean([row.rms for name, row in (self.relative or {}).items() if signal_kind(name) == kind]))
 
 
 def evaluate(study: Study, number: int, weights: Weights) -> Outcome:
-    """Design with one set of weights, take the margins, and run the loop through every record.
+    """Design with one set of weights, compute the margins, and simulate the loop under every record.
 
     Parameters
     ----------
@@ -223,58 +174,3 @@ def _mean_ratio(name: str, tables: Sequence[Mapping[str, PeakRms]], free: Sequen
     ratios = [np.array(table[name]) / np.array(without[name]) for table, without in zip(tables, free, strict=True)]
     peak, rms = np.mean(ratios, axis=0)
     return PeakRms(float(peak), float(rms))
-
-
-def explore(
-    study: Study,
-    sets: Sequence[Weights],
-    client: Client,
-    progress: Callable[[int], None] = lambda _done: None,
-) -> list[Outcome]:
-    """Try all sets, spread over the processes of a Dask cluster.
-
-    Parameters
-    ----------
-    study
-        Models and records; sent to each process once.
-    sets
-        Numbered from 0.
-    client
-        Of the cluster, as `cluster` gives it.
-    progress
-        Told how many sets are done, each time that some are.
-
-    Returns
-    -------
-    list
-        An outcome for each set, in their order.
-
-    Raises
-    ------
-    AbraceError
-        If the measured quantities are not the models', or the cluster's processes died or cannot do the work.
-    """
-    from distributed import as_completed
-
-    for weights in sets[:1]:
-        unknown = set(weights.measured) - set(study.plant.outputs)
-        if unknown or len(set(weights.measured)) < len(weights.measured):
-            raise AbraceError(
-                f"measured quantities {', '.join(weights.measured)}: expected each once, out of "
-                f"{', '.join(study.plant.outputs)}"
-            )
-    shared = client.scatter(study, broadcast=True, hash=False)
-    numbered = list(enumerate(sets))
-    batches = [numbered[first : first + BATCH] for first in range(0, len(sets), BATCH)]
-    futures = [client.submit(_evaluate_all, shared, batch, pure=False) for batch in batches]
-    outcomes: list[Outcome] = []
-    for future in as_completed(futures, loop=client.loop):
-        if future.status != "finished":
-            raise AbraceError(f"exploration: the work failed: {future.exception()!r}")
-        outcomes += future.result()
-        progress(len(outcomes))
-    return sorted(outcomes, key=lambda outcome: outcome.number)
-
-
-def _evaluate_all(study: Study, sets: Sequence[tuple[int, Weights]]) -> list[Outcome]:
-    return [evaluate(study, number, weights) for number, weights in sets]

@@ -7,7 +7,7 @@ from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_lqg.analysis.prediction import Excitation
 from abrace_lqg.proof.checks import OBJECTIONS
 from abrace_lqg.proof.files import design_to_file
-from abrace_lqg.proof.table import lines
+from abrace_lqg.proof.table import table_lines
 from abrace_lqg.weights import load_weights
 
 PARAMETERS = [
@@ -36,20 +36,18 @@ class Design(AbraceNode):
             raise AbraceError(f"parameter output: {given.output}, expected a file name that ends in .yaml")
         if len(given.excitation_band) != 2:
             raise AbraceError(f"parameter excitation_band: {given.excitation_band}, expected two frequencies")
-        excitation = Excitation(given.excitation_rms, tuple(given.excitation_band))
         weights_file = find_file(given.weights, "abrace_lqg", "config", ".yaml", "weights")
-        weights = load_weights(weights_file)
         proof, controller, written = design_to_file(
             [given.model, *given.check_models],
-            weights,
-            weights_file.name,
-            given.sample_period,
-            given.force_limit,
             given.output,
-            excitation,
-            given.accept,
+            weights=load_weights(weights_file),
+            weights_name=weights_file.name,
+            sample_period=given.sample_period,
+            force_limit=given.force_limit,
+            excitation=Excitation(given.excitation_rms, tuple(given.excitation_band)),
+            accept=given.accept,
         )
-        print("\n".join(lines(proof)))
+        print("\n".join(table_lines(proof)))
         print(controller.margins)
         print(f"wrote {', '.join(map(str, written))}")
 

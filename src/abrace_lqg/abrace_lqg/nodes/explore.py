@@ -14,12 +14,13 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import load_model
 from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_core.progress import Progress
-from abrace_lqg.exploration.cluster import cluster
+from abrace_lqg.exploration.cluster import cluster, explore
 from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motion
 from abrace_lqg.exploration.figure import trade_off
 from abrace_lqg.exploration.files import save_exploration, write_set
 from abrace_lqg.exploration.report import report
-from abrace_lqg.exploration.study import Study, explore, weight_sets
+from abrace_lqg.exploration.study import Study
+from abrace_lqg.exploration.weight_sets import weight_sets
 from abrace_lqg.weights import load_weights
 
 SPANS = ("displacement", "stroke", "acceleration", "force", "noise_to_excitation")
@@ -86,7 +87,8 @@ class Explore(AbraceNode):
         sets = weight_sets(weights, spans, given.sets, given.seed)
         model, simulation_model = load_model(given.model), load_model(given.simulation_model)
         records = [record.scaled(given.peak_acceleration) for record in self.records()]
-        study = Study.of(model, simulation_model, records, np.array(given.force_limit), given.sample_period)
+        capacity = np.array(given.force_limit)
+        study = Study.of(model, simulation_model, records, capacity=capacity, sample_period=given.sample_period)
         print(
             f"{len(sets)} sets of weights, {len(records)} records: {len(sets) * len(records)} closed loops", flush=True
         )
