@@ -88,14 +88,14 @@ def step_us(controller: Controller) -> float:
         responses, commands, watch = Responses(), BraceCommands(), SampleWatch(period)
         guard = CommandGuard(controller.force_limit, [5e6] * groups, period, 0.5)
         active = ActiveController(controller, 0.0)
-        active.begin(response_names(3, groups), command_names(groups), guard.force)
+        active.reset(response_names(3, groups), command_names(groups), guard.force)
         begin = time.perf_counter()
         for payload in payloads:
             stamp, sequence, z = responses.unpack(payload)
             lost = watch.take(sequence, stamp)
             force = guard.check(active.force(z, max(lost, 0))).tolist()
             commands.pack(stamp, sequence, force)
-            active.acted(force)
+            active.advance(force)
         best = min(best, time.perf_counter() - begin)
         assert watch.problem is None
         assert guard.fault_reason is None

@@ -10,11 +10,11 @@ import pytest
 from abrace_core.controller_file import Controller
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_lqg.active_controller import WARM_UP, ActiveController
+from abrace_lqg.active_controller import SETTLING_TIME, ActiveController
 from abrace_lqg.control_law import ControlLaw
 
 PERIOD, RAMP = 0.002, 0.5
-STEPS, WARM = round(RAMP / PERIOD), round(WARM_UP / PERIOD)
+STEPS, WARM = round(RAMP / PERIOD), round(SETTLING_TIME / PERIOD)
 STEEPEST = np.pi / 2 / STEPS
 NAMES = ("x1", "xf", "a1", "f")
 
@@ -32,14 +32,14 @@ def run(active: ActiveController, count: int, a1: float = 1.0) -> np.ndarray:
     found = []
     for _ in range(count):
         force = active.force((0.0, 0.0, a1, 0.0), 0).tolist()
-        active.acted(force)
+        active.advance(force)
         found.append(force[0])
     return np.array(found)
 
 
 def begun(one: Controller, force: float = 0.0) -> ActiveController:
     active = ActiveController(one, RAMP)
-    active.begin(NAMES, one.law.outputs, np.full(len(one.law.outputs), force))
+    active.reset(NAMES, one.law.outputs, np.full(len(one.law.outputs), force))
     return active
 
 
@@ -53,11 +53,11 @@ def test_the_force_fades_in_from_the_one_that_acts(force: float):
 
 def test_without_ramp_time_the_first_force_is_the_laws():
     one, active = controller(), ActiveController(controller(), 0.0)
-    active.begin(NAMES, ("U",), np.zeros(1))
+    active.reset(NAMES, ("U",), np.zeros(1))
     law = ControlLaw(one, NAMES)
     for _ in range(20):
         expected = law.update((0.0, 0.0, 1.0, 0.0)).tolist()
-        law.acted(expected)
+        law.advance(expected)
         assert run(active, 1).tolist() == expected
     assert active.state == "in use"
 
@@ -65,7 +65,7 @@ def test_without_ramp_time_the_first_force_is_the_laws():
 def test_another_law_follows_after_its_warm_up_without_a_jump():
     active = begun(controller())
     before = run(active, STEPS + 10)[-1]
-    active.change(controller("two", -2000.0))
+    active.change_to(controller("two", -2000.0))
     assert (active.state, active.controller.name) == ("warming up", "two")
     np.testing.assert_allclose(run(active, WARM), before, rtol=1e-9, err_msg="nothing changes meanwhile")
     assert active.state == "fading in"
@@ -81,7 +81,7 @@ def test_a_law_that_follows_itself_is_not_noticed():
     random = np.random.default_rng(1)
     run(active, STEPS + 10)
     run(alone, STEPS + 10)
-    active.change(controller())
+    active.change_to(controller())
     for a1 in random.standard_normal(WARM + STEPS + 10):
         np.testing.assert_allclose(run(active, 1, a1), run(alone, 1, a1), atol=1e-9)
 
@@ -90,12 +90,12 @@ def test_both_estimates_are_told_the_force_that_acted():
     one, two = controller(), replace(controller("two", 500.0), correction=np.array([[1e-4]]))
     active, beside = begun(one), ControlLaw(two, NAMES)
     run(active, STEPS + 10)
-    active.change(two)
+    active.change_to(two)
     for a1 in np.random.default_rng(2).standard_normal(WARM + STEPS):
         force = np.clip(active.force((0.0, 0.0, a1, 0.0), 0), -100.0, 100.0).tolist()
-        active.acted(force)
+        active.advance(force)
         beside.update((0.0, 0.0, a1, 0.0))
-        beside.acted(force)
+        beside.advance(force)
     assert active.state == "in use"
     np.testing.assert_array_equal(active.force((0.0, 0.0, 1.0, 0.0), 0), beside.update((0.0, 0.0, 1.0, 0.0)))
 
@@ -106,10 +106,10 @@ def test_lost_samples_are_bridged():
     for a1, lost in ((0.0, 0), (1.0, 0), (2.0, 4), (0.0, 0)):
         z = (0.0, 0.0, a1, 0.0)
         force = active.force(z, lost).tolist()
-        active.acted(force)
+        active.advance(force)
         law.bridge(lost)
         assert force == law.update(z).tolist()
-        law.acted(force)
+        law.advance(force)
     assert force[0] > 100, "the state moved"
 
 
@@ -126,7 +126,7 @@ def test_a_controller_that_cannot_follow_is_refused_and_nothing_changes(other: C
     active = begun(controller())
     before = run(active, STEPS + 10)[-1]
     with pytest.raises(AbraceError, match=said):
-        active.change(other)
+        active.change_to(other)
     assert (active.state, active.controller.name) == ("in use", "one")
     assert run(active, 1)[0] == pytest.approx(before)
 
@@ -134,34 +134,34 @@ def test_a_controller_that_cannot_follow_is_refused_and_nothing_changes(other: C
 def test_a_change_is_refused_before_the_first_sample_and_during_another():
     active = ActiveController(controller(), RAMP)
     with pytest.raises(AbraceError, match="one is waiting for samples, expected one in use"):
-        active.change(controller("two"))
-    active.begin(NAMES, ("U",), np.zeros(1))
+        active.change_to(controller("two"))
+    active.reset(NAMES, ("U",), np.zeros(1))
     with pytest.raises(AbraceError, match="one is fading in"):
-        active.change(controller("two"))
+        active.change_to(controller("two"))
     run(active, STEPS + 1)
-    active.change(controller("two"))
+    active.change_to(controller("two"))
     with pytest.raises(AbraceError, match="two is warming up"):
-        active.change(controller("three"))
+        active.change_to(controller("three"))
 
 
 def test_a_fault_during_a_change_leaves_the_new_controller_to_begin_anew():
     active = begun(controller())
     run(active, STEPS + 10)
-    active.change(controller("two", 500.0))
-    active.begin(NAMES, ("U",), np.zeros(1))
+    active.change_to(controller("two", 500.0))
+    active.reset(NAMES, ("U",), np.zeros(1))
     assert run(active, STEPS + 200)[-1] == pytest.approx(500.0)
 
 
 def test_a_controller_for_another_rig_is_refused():
     with pytest.raises(AbraceError, match="gives U, the rig takes U1, U2"):
-        ActiveController(controller(), RAMP).begin(NAMES, ("U1", "U2"), np.zeros(2))
+        ActiveController(controller(), RAMP).reset(NAMES, ("U1", "U2"), np.zeros(2))
     with pytest.raises(AbraceError, match="measures a1"):
-        ActiveController(controller(), RAMP).begin(("x1", "f"), ("U",), np.zeros(1))
+        ActiveController(controller(), RAMP).reset(("x1", "f"), ("U",), np.zeros(1))
 
 
 def test_the_innovation_is_told_by_name():
     active = ActiveController(controller(), RAMP)
     assert active.innovation_rms() == {}
-    active.begin(NAMES, ("U",), np.zeros(1))
+    active.reset(NAMES, ("U",), np.zeros(1))
     run(active, 100, 3.0)
     assert active.innovation_rms() == {"a1": pytest.approx(3.0)}, "nothing was expected"

@@ -12,7 +12,7 @@ from abrace_core.controller_file import Controller
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import simulate, simulate_closed_loop
-from abrace_lqg.control_law import REMEMBERED, ControlLaw
+from abrace_lqg.control_law import INNOVATION_WINDOW, ControlLaw
 from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.loop import sampled
 from abrace_lqg.weights import load_weights
@@ -61,7 +61,7 @@ def answers(law: ControlLaw, y: np.ndarray) -> np.ndarray:
     found = []
     for row in y:
         found.append(law.update(row.tolist()).tolist())
-        law.acted(found[-1])
+        law.advance(found[-1])
     return np.array(found)
 
 
@@ -107,7 +107,7 @@ def test_a_cut_command_leaves_the_estimate_of_a_filter_that_is_told_the_cut_comm
         np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8 * 500)
         force = np.clip(found, -500.0, 500.0)
         cut += (found != force).any()
-        law.acted(force.tolist())
+        law.advance(force.tolist())
         q = a @ q + b @ [force[0], y]
     assert 100 < cut < 1900, "cut now and then"
 
@@ -118,11 +118,11 @@ def test_after_saturation_the_law_goes_on_at_once_where_eq_13_alone_has_wound_up
     # a slow quantity that keeps the command at its limit, and then is gone
     for y in [2.0] * 1000 + [0.0] * 50:
         force = np.clip(law.update([y]), -500.0, 500.0).tolist()
-        law.acted(force)
-        wound_up.acted(wound_up.update([y]).tolist())
+        law.advance(force)
+        wound_up.advance(wound_up.update([y]).tolist())
         # the same observer, told by hand what acted
         free.update([y])
-        free.acted(force)
+        free.advance(force)
     np.testing.assert_array_equal(law.update([0.0]), free.update([0.0]))
     assert abs(wound_up.update([0.0])[0] - law.update([0.0])[0]) > 10, "otherwise this test promises nothing"
 
@@ -135,7 +135,7 @@ def test_it_runs_as_the_closed_loop_is_simulated_saturated_or_not():
     law, found = ControlLaw(controller, plant.outputs), []
     for row in outputs[:-2]:
         found.append(np.clip(law.update(row.tolist()), -500.0, 500.0).tolist())
-        law.acted(found[-1])
+        law.advance(found[-1])
     np.testing.assert_allclose(found, commands[2:], atol=1e-7)
     assert 0.02 < np.mean(np.abs(commands) == 500.0) < 0.98
 
@@ -149,7 +149,7 @@ def test_the_innovation_vanishes_where_the_rig_is_the_design_model_and_the_groun
     law, q = ControlLaw(controller, ["a1"]), np.zeros(len(a))
     for u in 300 * np.sin(0.05 * np.arange(500)):
         law.update((c @ q + d @ [u]).tolist())
-        law.acted([u])
+        law.advance([u])
         q = a @ q + b @ [u]
     assert law.innovation_rms()[0] < 1e-9 * np.abs(c @ q).max()
 
@@ -162,7 +162,7 @@ def test_the_innovation_is_the_rms_of_measured_minus_expected_values():
         command = controller.law.c @ q + controller.law.d @ y
         force = np.clip(command, -2.0, 2.0)
         law.update(y.tolist())
-        law.acted(force.tolist())
+        law.advance(force.tolist())
         innovations.append(y - controller.prediction @ np.concatenate([q, force]))
         q = controller.law.a @ q + controller.law.b @ y + controller.correction @ (force - command)
     expected = np.sqrt(np.mean(np.array(innovations) ** 2, axis=0))
@@ -172,7 +172,7 @@ def test_the_innovation_is_the_rms_of_measured_minus_expected_values():
 def test_old_innovations_are_forgotten():
     law = ControlLaw(random_controller(), NAMES)
     answers(law, 1e6 * samples(10))
-    answers(law, samples(REMEMBERED + 200, 8))
+    answers(law, samples(INNOVATION_WINDOW + 200, 8))
     assert law.innovation_rms().max() < 1e4
 
 
@@ -184,6 +184,6 @@ def test_over_lost_samples_the_last_values_and_the_force_hold():
     law.bridge(3)
     for _ in range(3):
         told.update(samples(10)[-1].tolist())
-        told.acted(command)
+        told.advance(command)
     y = samples(1, 9)
     np.testing.assert_array_equal(answers(law, y), answers(told, y))

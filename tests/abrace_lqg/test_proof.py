@@ -158,7 +158,7 @@ def run(plant: LinearModel, designed: ControllerDesign, ground: np.ndarray, lost
         law.bridge(gap)
         gap = 0
         command = law.update(y).copy()
-        law.acted(command)
+        law.advance(command)
     return in_force
 
 

@@ -1,10 +1,10 @@
-"""The controller at run time: Eq. (13) as an observer that is told which command really acted.
+"""The control law at run time: Eq. (13) as an observer of the command that is really applied.
 
 U(n) = C_d q(n) + D_d y(n),     q(n+1) = A_d q(n) + B_d y(n) + G_d (U_acted(n) - U(n))
 
-While nothing limits the command this is Eq. (13) as printed. Where it is cut, ramped or faded the estimate q follows
-the command that acted, so that it neither winds up nor jumps when the command is its own again. Besides, the estimate
-expects y(n) = P_d [q(n); U_acted(n)]; what is measured differs by the innovation.
+As long as the law's command is applied unchanged this is Eq. (13) as printed. Where it is limited, ramped or faded, the
+estimate q follows the applied command U_acted: it neither winds up during saturation nor jumps at its end. The estimate
+predicts y(n) = P_d [q(n); U_acted(n)]; measured minus predicted is the innovation.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ if TYPE_CHECKING:
 
     from abrace_core.controller_file import Controller
 
-REMEMBERED = 5000
-"""Samples whose innovations are remembered."""
+INNOVATION_WINDOW = 5000
+"""Number of samples over which the rms of the innovation is taken."""
 
 
 class ControlLaw:
-    """Eq. (13) with its state. Each `update` is followed by one `acted`.
+    """Eq. (13) with its state. Each `update` is followed by one `advance`.
 
     Parameters
     ----------
     controller
         The law with its observer.
     names
-        Names of the values that `update` is given; those that the controller measures are picked out of them.
+        Names of the values that `update` is given; the controller's measured quantities are picked from them.
 
     Attributes
     ----------
     names
-        Of the quantities that it measures.
+        Of the controller's measured quantities.
 
     Raises
     ------
     AbraceError
-        If a quantity that the controller measures is not among them.
+        If a measured quantity of the controller is not among the names.
     """
 
     def __init__(self, controller: Controller, names: Sequence[str]) -> None:
@@ -60,45 +60,46 @@ class ControlLaw:
         self._pick = itemgetter(*[names.index(name) for name in law.inputs])
         states, commands = law.order, len(law.outputs)
         c_y, d_y = controller.prediction[:, :states], controller.prediction[:, states:]
-        # one product gives commands, next state and innovation: [U; q+; e] = whole [q; y]
-        whole = [[law.c, law.d], [law.a, law.b], [-c_y - d_y @ law.c, np.eye(len(c_y)) - d_y @ law.d]]
-        self._whole = np.ascontiguousarray(np.block(whole))
+        # one product gives commands, next state and innovation: [U; q+; e] = step_matrix [q; y]
+        blocks = [[law.c, law.d], [law.a, law.b], [-c_y - d_y @ law.c, np.eye(len(c_y)) - d_y @ law.d]]
+        self._step_matrix = np.ascontiguousarray(np.block(blocks))
         self._correction = np.ascontiguousarray(np.vstack([controller.correction, -d_y]))
-        self._vector = np.zeros(self._whole.shape[1])
-        self._result = np.zeros(self._whole.shape[0])
+        self._vector = np.zeros(self._step_matrix.shape[1])
+        self._result = np.zeros(self._step_matrix.shape[0])
+        # views: [q; y], and [U; [q+; e]]
         self._state, self._measured = self._vector[:states], self._vector[states:]
-        self._command, self._after = self._result[:commands], self._result[commands:]
-        self._next, self._innovation = self._after[:states], self._after[states:]
-        self._acted = [0.0] * commands
-        self._innovations: deque[bytes] = deque(maxlen=REMEMBERED)
+        self._command, self._corrected = self._result[:commands], self._result[commands:]
+        self._next_state, self._innovation = self._corrected[:states], self._corrected[states:]
+        self._applied = [0.0] * commands
+        self._innovations: deque[bytes] = deque(maxlen=INNOVATION_WINDOW)
 
     def update(self, values: Sequence[float]) -> NDArray[np.float64]:
         """The commands (commands,) [N] that answer the measured `values`; valid until the next call."""
         self._measured[:] = self._pick(values)
-        np.dot(self._whole, self._vector, out=self._result)
+        np.dot(self._step_matrix, self._vector, out=self._result)
         return self._command
 
-    def acted(self, force: list[float]) -> None:
-        """The estimate goes on to the next sample, the command in force from this one being `force` (commands,) [N]."""
+    def advance(self, force: list[float]) -> None:
+        """Advance the estimate to the next sample, `force` (commands,) [N] being the command that was applied."""
         self._advance(force)
-        self._acted = force
+        self._applied = force
         self._innovations.append(self._innovation.tobytes())
 
     def bridge(self, samples: int) -> None:
-        """Go on over so many lost `samples`: the last measured values hold, as the command in force does.
+        """Advance the estimate over lost `samples`, holding the last measured values and the last applied command.
 
-        Predicted values instead of held ones would leave out how the ground moves, which is most of the innovation.
+        Predicted values instead would leave out the ground motion, which is most of the innovation.
         """
         for _ in range(samples):
-            np.dot(self._whole, self._vector, out=self._result)
-            self._advance(self._acted)
+            np.dot(self._step_matrix, self._vector, out=self._result)
+            self._advance(self._applied)
 
     def innovation_rms(self) -> NDArray[np.float64]:
-        """(measured,) rms of the innovation over the last REMEMBERED samples; zero before the first."""
-        known = np.frombuffer(b"".join(self._innovations)).reshape(-1, len(self._innovation))
-        return np.sqrt(np.mean(known**2, axis=0)) if len(known) else np.zeros(len(self._innovation))
+        """(measured,) rms of the innovation over the last INNOVATION_WINDOW samples; zero before the first."""
+        innovations = np.frombuffer(b"".join(self._innovations)).reshape(-1, len(self._innovation))
+        return np.sqrt(np.mean(innovations**2, axis=0)) if len(innovations) else np.zeros(len(self._innovation))
 
     def _advance(self, force: list[float]) -> None:
         if force != self._command.tolist():
-            self._after += self._correction @ (np.array(force) - self._command)
-        self._state[:] = self._next
+            self._corrected += self._correction @ (np.array(force) - self._command)
+        self._state[:] = self._next_state

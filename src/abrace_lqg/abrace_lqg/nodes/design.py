@@ -12,14 +12,18 @@ from abrace_lqg.weights import load_weights
 
 PARAMETERS = [
     Parameter("model", "", "model file (JSON) to design with", required=True),
-    Parameter("check_models", [], "further model files, the rig's too if there is one, to prove it with", element=str),
+    Parameter(
+        "check_models", [], "further model files to check the closed loop with, such as the rig's own", element=str
+    ),
     Parameter("weights", "lqg3", "weights: a name in the package's configuration or a file", required=True),
     Parameter("sample_period", 0.002, "s, of the controller", minimum=1e-6),
     Parameter("force_limit", [24516.625], "N, of one brace of each group", minimum=1.0),
     Parameter("accept", [], "objections in spite of which the controller is written", choices=OBJECTIONS, element=str),
-    Parameter("excitation_rms", 0.25, "m/s^2, of the ground acceleration for which rms is predicted", minimum=1e-9),
-    Parameter("excitation_band", [0.3, 10.0], "Hz, lowest and highest frequency of that excitation", minimum=0.0),
-    Parameter("output", "", "controller file (YAML) to write; the proof's files are written beside it", required=True),
+    Parameter(
+        "excitation_rms", 0.25, "m/s^2, rms of the ground acceleration for the predicted responses", minimum=1e-9
+    ),
+    Parameter("excitation_band", [0.3, 10.0], "Hz, lowest and highest frequency of this excitation", minimum=0.0),
+    Parameter("output", "", "controller file (YAML) to write; the proof's files go to its folder", required=True),
 ]
 
 
