@@ -196,16 +196,36 @@ def test_the_script_writes_what_the_file_has(fit_weights: ModuleType):
 def test_the_search_finds_nothing_better_next_to_lqg3(
     fit_weights: ModuleType, rig: Rig, identified: Identification, el_centro: NDArray[np.float64]
 ):
-    stand = fit_weights.Stand(sampled(identified.model, 0.002), el_centro, rig.capacity)
+    trial = fit_weights.Trial(sampled(identified.model, 0.002), el_centro, rig.capacity)
 
     def criterion(unknowns: NDArray[np.float64]) -> float:
         designed = design(identified.reduced, fit_weights.weights_of(unknowns), 0.002)
-        return fit_weights.Outcome.of(stand, designed, stand.table(designed)).criterion()
+        return fit_weights.Outcome.of(trial, designed, trial.table(designed)).criterion()
 
     found = np.array([4.643, 7.684, 7.861, 8.183, -0.702])
     least = criterion(found)
     for step in np.vstack([0.1 * np.eye(5), -0.1 * np.eye(5)]):
         assert criterion(found + step) > least
+
+
+def test_the_search_goes_on_from_its_start_to_a_smaller_criterion(
+    monkeypatch: pytest.MonkeyPatch,
+    fit_weights: ModuleType,
+    rig: Rig,
+    identified: Identification,
+    el_centro: NDArray[np.float64],
+):
+    trial = fit_weights.Trial(sampled(identified.model, 0.002), el_centro, rig.capacity)
+    monkeypatch.setattr(fit_weights, "SEARCHES", 1)
+    monkeypatch.setattr(fit_weights, "EVALUATIONS", 20)
+    found = fit_weights.search(identified.reduced, trial)
+
+    def error(unknowns: NDArray[np.float64]) -> float:
+        designed = design(identified.reduced, fit_weights.weights_of(unknowns), 0.002)
+        return mean_relative_error(trial.table(designed), TABLE_1_EXPERIMENT)
+
+    assert not np.allclose(found, fit_weights.START), "expected a step from the start"
+    assert error(found) < 0.05, "expected weights near LQG3's"
 
 
 def test_the_gain_margin_is_where_the_rig_becomes_unstable(rig: Rig, designs: Designs):
