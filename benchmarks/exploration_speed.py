@@ -1,10 +1,9 @@
 """Speed of an exploration: 1000 closed loops of 50 000 steps, saturation included, on this machine's cores.
 
 250 sets of weights, four records of noise at 0.1 g; models identified from the laboratory's tests: 8 states to design
-with, the consistent model of 13 to simulate and to take margins with. Designs, margins and peak and rms of every
-channel are timed with the loops, the sending of models and records to the processes too; starting and ending these is
-timed apart. Once a process has done its first set it has everything loaded: `first_set_seconds` is how long that took,
-and is part of `seconds_1000`.
+with, the consistent model of 13 for simulation and margins. The time includes designs, margins, peak and rms of every
+channel, and sending models and records to the processes; starting and ending the processes is timed separately. A
+process loads its modules for its first set: `first_set_seconds` is the time until that is done, part of `seconds_1000`.
 
 python benchmarks/exploration_speed.py
 """

@@ -194,7 +194,7 @@ def factor_for(
 
 
 def main() -> None:
-    """Search, and print the weights with what they give."""
+    """Search, and print the weights with their errors and margins."""
     parser = argparse.ArgumentParser(description="Fit the weights of LQG1 to LQG5 on the identified model.")
     parser.add_argument("bags", nargs="*", metavar="BAG", help="table test and command test (default: simulated ones)")
     bags = parser.parse_args().bags

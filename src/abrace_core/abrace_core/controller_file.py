@@ -12,7 +12,7 @@ import numpy as np
 import pydantic
 import yaml
 
-from abrace_core.config_file import Checked, read_config, yaml_number
+from abrace_core.config_file import Checked, read_config, validated, yaml_number
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import LinearModel
@@ -213,13 +213,7 @@ def controller_from_parameters(parameters: Mapping[str, Any], source: str) -> Co
         key: list(value) if hasattr(value, "__iter__") and not isinstance(value, str) else value
         for key, value in parameters.items()
     }
-    try:
-        checked = ControllerParameters.model_validate(values)
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise AbraceError(f"{source}: {key}: {first['msg']}") from error
-    return _controller(checked, source)
+    return _controller(validated(values, ControllerParameters, source), source)
 
 
 def _controller(parameters: ControllerParameters, source: str) -> Controller:

@@ -143,7 +143,7 @@ class Loop:
         return complementary / (1 - complementary)
 
     def index(self, signal: str) -> int:
-        """Position of `signal` among `signals`; an AbraceError if the loop cannot be broken there."""
+        """Position of `signal` among `signals`; an AbraceError if it is not one of them."""
         if signal not in self.signals:
             raise AbraceError(f"loop broken at {signal!r}: expected one of {', '.join(self.signals)}")
         return self.signals.index(signal)

@@ -1,8 +1,8 @@
 """One set of weights tried: designed, its margins computed, and its closed loop run through every record.
 
-Eq. (11) leaves the weights open, and what counts in a test, peaks, saturation and margins, is not what it minimises. So
-each set is judged by simulation (Eqs. 11 to 13), with the commands limited to the braces' capacity. Margins and
-simulation are those of a model of their own, which may differ from the one to design with.
+Eq. (11) leaves the weights open, and does not minimise what matters in a test: peaks, saturation and margins. So each
+set is judged by simulation, with the commands limited to the braces' capacity. Margins and simulation have a model of
+their own, which may differ from the one to design with.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ LOWEST_SHOWN = 0.1
 """Lower end of the frequency axes [Hz]; the upper end is half the sampling rate."""
 
 KINDS = (("x", "displacement, stroke"), ("a", "acceleration"), ("fU", "force, command"))
-"""First letters of the quantities that share a unit, and what they are."""
+"""First letters of the quantities that share a unit, and the names of these quantities."""
 
 LINE_STYLES = ("-", "--", ":", "-.")
 """Of the signals, or of the models, in turn."""
