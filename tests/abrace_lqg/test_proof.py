@@ -175,7 +175,7 @@ def test_a_single_loss_moves_the_command_as_the_running_law_does(
         usual.append(undisturbed[at])
     expected = np.sqrt(np.sum(np.square(changes), axis=0)).max() / np.sqrt(np.sum(np.square(usual)))
     narrow = Excitation(1.0, (3.0 - 1e-6, 3.0 + 1e-6))
-    found = lost_samples(rig_model, designed.controller, designed.correction, narrow, in_a_row)
+    found = lost_samples(rig_model, designed.controller, designed.correction, excitation=narrow, in_a_row=in_a_row)
     assert found.command_deviation == pytest.approx(expected, rel=1e-2)
 
 
@@ -187,7 +187,9 @@ def test_rhythms_of_losses_that_the_loop_bears_are_those_of_the_running_law(rig_
     # near its edge of stability the loop bears only rare losses, and how rare is seen in its motion
     tense = louder(sound, 0.97 * edge)
     for one, in_a_row in ((sound, 1), (tense, 2)):
-        found = lost_samples(rig_model, one.controller, one.correction, Excitation(), in_a_row).stable_every
+        found = lost_samples(
+            rig_model, one.controller, one.correction, excitation=Excitation(), in_a_row=in_a_row
+        ).stable_every
         assert found is not None
         for period in {found, found - 1} - {in_a_row}:
             ground = np.concatenate([shake, np.zeros(9800)])

@@ -58,6 +58,7 @@ def lost_samples(
     model: LinearModel,
     controller: LinearModel,
     correction: NDArray[np.float64],
+    *,
     excitation: Excitation,
     in_a_row: int,
 ) -> LostSamples:

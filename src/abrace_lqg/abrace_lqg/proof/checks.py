@@ -193,7 +193,9 @@ def _prove_with(
         disk=disk_margin(model, controller) if stable else None,
         prediction=rms_without_and_with_control(model, controller, excitation) if stable else {},
         modes=mode_effects(model, controller, design_model),
-        lost=[lost_samples(model, controller, designed.correction, excitation, count) for count in LOST_IN_A_ROW]
-        if stable
-        else [],
+        lost=[
+            lost_samples(model, controller, designed.correction, excitation=excitation, in_a_row=count)
+            for count in LOST_IN_A_ROW
+            if stable
+        ],
     )
