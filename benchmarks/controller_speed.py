@@ -1,12 +1,12 @@
 """The controller beside its peers: a step of it, its answer over DDS, its gains and its discretisation.
 
-step_us            a sample taken from its bytes to the bytes of its command: unpacked, watched for gaps, LQG3's law,
-                   the guard's checks, packed, the estimate told what acted; without DDS
-loop               sample to command between two processes over DDS, as who sends the sample sees it: our node
-                   `controller` against the bare echo of the same two messages, asked in turns in one run
+step_us            a sample from its bytes to the bytes of its command: unpacked, checked for gaps, LQG3's law, the
+                   guard's limits, packed, the estimate advanced with the applied force; without DDS
+loop               sample to command between two processes over DDS, measured by the sender of the sample: our node
+                   `controller` against the bare echo of the same two messages, in turns in one run
 lqr_agreement      largest difference of LQG3's gains from python-control's lqr (method='scipy') for the same balanced
-                   model and weights, over the largest gain; its lqe knows no correlated noise, so that the filter is
-                   compared by duality
+                   model and weights, over the largest gain; its lqe has no correlated noise: the filter is compared by
+                   duality
 tustin_agreement   the same of Eq. (13)'s frequency response against scipy's cont2discrete(method='bilinear')
 
 python benchmarks/controller_speed.py

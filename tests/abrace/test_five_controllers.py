@@ -1,4 +1,4 @@
-"""LQG1 to LQG5, designed on a model identified from two tests: what the weights files promise, there and on the rig."""
+"""LQG1 to LQG5, designed on a model identified from two tests: what the weights files promise."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_each_controller_keeps_its_distance_from_instability(
 
 @pytest.mark.parametrize("title", ["consistent", "rig"])
 @pytest.mark.parametrize("name", NAMES)
-def test_no_controller_takes_much_damping_from_any_mode(
+def test_no_controller_reduces_the_damping_of_a_mode_much(
     designs: Designs, models: dict[str, LinearModel], name: str, title: str
 ):
     effects = mode_effects(models[title], designs[name].controller, designs[name].design_model)
@@ -132,7 +132,7 @@ def test_lqg3_damps_the_building(designs: Designs, rig: Rig):
 
 
 @pytest.mark.parametrize("title", ["consistent", "rig"])
-def test_peak_commands_are_those_that_the_files_tell(tables: dict[str, dict[str, Table]], title: str):
+def test_peak_commands_are_those_stated_in_the_files(tables: dict[str, dict[str, Table]], title: str):
     found = [tables[name][title]["U"].peak for name in NAMES]
     np.testing.assert_allclose(found, [681, 1121, 1471, 866, 1518], rtol=0.005)
 
@@ -240,7 +240,7 @@ def test_the_gain_margin_is_where_the_rig_becomes_unstable(rig: Rig, designs: De
     assert least_damping(1.001 * edge) < 0
 
 
-def test_the_riccati_equations_of_the_rig_stand_up_in_si_units(rig: Rig):
+def test_the_riccati_equations_of_the_rig_are_solved_in_si_units(rig: Rig):
     exact = design(rig.model, weights_file("lqg3"), 0.002)
     plant, gain = exact.design_model, exact.regulator_gain
     # the optimal cost-to-go of this gain, from a Lyapunov equation, gives the gain back

@@ -1,4 +1,4 @@
-"""The run-time law is Eq. (13) while nothing limits it, and an observer of what acts where something does."""
+"""The run-time law is Eq. (13) without limits, and an observer of the applied command where it is limited."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def samples(count: int, seed: int = 6) -> np.ndarray:
 
 
 def answers(law: ControlLaw, y: np.ndarray) -> np.ndarray:
-    """The commands, each of which acts as it is."""
+    """The commands, each applied without a limit."""
     found = []
     for row in y:
         found.append(law.update(row.tolist()).tolist())
@@ -65,7 +65,7 @@ def answers(law: ControlLaw, y: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def test_it_gives_the_response_of_eq_13_while_nothing_limits_it():
+def test_without_limits_it_gives_the_response_of_eq_13():
     controller, y = random_controller(), samples(200)
     expected = simulate(controller.law, y)
     np.testing.assert_allclose(answers(ControlLaw(controller, NAMES), y), expected, rtol=1e-10, atol=1e-12)
@@ -91,7 +91,7 @@ def test_the_same_samples_give_the_same_bits():
     assert runs[0] == runs[1]
 
 
-def test_a_cut_command_leaves_the_estimate_of_a_filter_that_is_told_the_cut_command():
+def test_the_estimate_is_that_of_a_filter_with_the_limited_command_as_input():
     """Tustin's transformation by scipy of the filter q' = (A - L C) q + (B - L D) u + L y, u left open."""
     made, controller = frame_design(), frame_controller()
     plant = made.design_model.select(["a1"])
@@ -112,7 +112,7 @@ def test_a_cut_command_leaves_the_estimate_of_a_filter_that_is_told_the_cut_comm
     assert 100 < cut < 1900, "cut now and then"
 
 
-def test_after_saturation_the_law_goes_on_at_once_where_eq_13_alone_has_wound_up():
+def test_after_saturation_the_law_recovers_at_once_where_eq_13_alone_has_wound_up():
     controller = frame_controller()
     law, wound_up, free = (ControlLaw(controller, ["a1"]) for _ in range(3))
     # a slow quantity that keeps the command at its limit, and then is gone
@@ -120,11 +120,11 @@ def test_after_saturation_the_law_goes_on_at_once_where_eq_13_alone_has_wound_up
         force = np.clip(law.update([y]), -500.0, 500.0).tolist()
         law.advance(force)
         wound_up.advance(wound_up.update([y]).tolist())
-        # the same observer, told by hand what acted
+        # the same observer with the applied force
         free.update([y])
         free.advance(force)
     np.testing.assert_array_equal(law.update([0.0]), free.update([0.0]))
-    assert abs(wound_up.update([0.0])[0] - law.update([0.0])[0]) > 10, "otherwise this test promises nothing"
+    assert abs(wound_up.update([0.0])[0] - law.update([0.0])[0]) > 10, "expected Eq. (13) alone to wind up"
 
 
 def test_it_runs_as_the_closed_loop_is_simulated_saturated_or_not():
@@ -141,7 +141,7 @@ def test_it_runs_as_the_closed_loop_is_simulated_saturated_or_not():
 
 
 def test_the_innovation_vanishes_where_the_rig_is_the_design_model_and_the_ground_is_still():
-    """Then the estimate knows everything: the design model, stepped by Tustin's rule, from the estimate's own state."""
+    """The estimate is then exact: the design model, stepped by Tustin's rule, starts from the estimate's state."""
     made, controller = frame_design(), frame_controller()
     plant = made.design_model.select(["a1"])
     model = (plant.a, plant.b[:, 1:], plant.c, plant.d[:, 1:])
@@ -169,7 +169,7 @@ def test_the_innovation_is_the_rms_of_measured_minus_expected_values():
     np.testing.assert_allclose(law.innovation_rms(), expected, rtol=1e-10)
 
 
-def test_old_innovations_are_forgotten():
+def test_the_rms_of_the_innovation_is_that_of_the_last_samples():
     law = ControlLaw(random_controller(), NAMES)
     answers(law, 1e6 * samples(10))
     answers(law, samples(INNOVATION_WINDOW + 200, 8))
@@ -178,12 +178,12 @@ def test_old_innovations_are_forgotten():
 
 def test_over_lost_samples_the_last_values_and_the_force_hold():
     controller = random_controller()
-    law, told = ControlLaw(controller, NAMES), ControlLaw(controller, NAMES)
+    law, expected_law = ControlLaw(controller, NAMES), ControlLaw(controller, NAMES)
     answers(law, samples(10))
-    command = answers(told, samples(10))[-1].tolist()
+    command = answers(expected_law, samples(10))[-1].tolist()
     law.bridge(3)
     for _ in range(3):
-        told.update(samples(10)[-1].tolist())
-        told.advance(command)
+        expected_law.update(samples(10)[-1].tolist())
+        expected_law.advance(command)
     y = samples(1, 9)
-    np.testing.assert_array_equal(answers(law, y), answers(told, y))
+    np.testing.assert_array_equal(answers(law, y), answers(expected_law, y))

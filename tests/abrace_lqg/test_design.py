@@ -114,8 +114,8 @@ def test_a_delayed_command_has_unit_gain_and_the_whole_delays_phase():
     np.testing.assert_allclose(ratio[:, 0, 0], 1, rtol=1e-9)
 
 
-def test_the_delay_of_the_design_model_is_what_lies_between_sample_and_effect():
-    # a command from sample k, in force from k+1 to k+2: computation and hold, seen at the sampling instants
+def test_the_delay_of_the_design_model_is_that_from_sample_to_effect():
+    # a command from sample k, in force from k+1 to k+2: computation and hold, observed at the sampling instants
     model = storey(delay=0.0008)
     held = discretize(model, PERIOD, {"w": "first"})
     omega = np.linspace(1, 60, 50)
@@ -123,7 +123,7 @@ def test_the_delay_of_the_design_model_is_what_lies_between_sample_and_effect():
     np.testing.assert_allclose(delayed(model, PERIOD).frequency_response(omega)[:, 0, 1] / true, 1, atol=2e-3)
 
 
-def test_eq_12_is_the_filter_that_knows_its_own_command():
+def test_eq_12_is_the_filter_with_its_own_command_as_input():
     result = design(storey(), weights(), PERIOD)
     model, k, filter_gain = result.design_model, result.regulator_gain, result.filter_gain
     c, d = model.c[[1]], model.d[[1], 1:]
@@ -178,7 +178,7 @@ def test_a_relative_weight_of_a_signal_that_the_model_lacks_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("model", "said"),
+    ("model", "message"),
     [
         (discretize(storey(), PERIOD), "continuous"),
         (storey().select(inputs=["w"]), "commands"),
@@ -188,8 +188,8 @@ def test_a_relative_weight_of_a_signal_that_the_model_lacks_is_refused():
         (replace(storey(), outputs=("strain", "a1")), "'strain'"),
     ],
 )
-def test_a_model_that_does_not_fit_is_refused(model: LinearModel, said: str):
-    with pytest.raises(AbraceError, match=said):
+def test_a_model_that_does_not_fit_is_refused(model: LinearModel, message: str):
+    with pytest.raises(AbraceError, match=message):
         design(model, weights(), PERIOD)
 
 

@@ -95,7 +95,7 @@ def test_the_first_sets_are_the_same_however_many_there_are_and_others_with_anot
         ({"displacement": (0.0, 0.0)}, "all are from 0 to 0"),
     ],
 )
-def test_spans_that_say_nothing_are_refused(spans, expected):
+def test_spans_that_vary_nothing_or_have_wrong_bounds_are_refused(spans, expected):
     with pytest.raises(AbraceError, match=expected):
         weight_sets(given(), spans, 4, 0)
 
@@ -120,7 +120,7 @@ def test_an_outcome_is_what_the_simulated_loop_does():
     assert "f" not in outcome.relative, "an ideal force is zero with a zero command: no ratio"
 
 
-def test_a_controller_that_does_next_to_nothing_leaves_the_response_as_it_is():
+def test_a_controller_of_negligible_command_does_not_change_the_response():
     outcome = evaluate(study(), 0, given(displacement=1e2))
     assert outcome.response("displacement") == pytest.approx(1.0, abs=1e-3)
     assert outcome.response("acceleration") == pytest.approx(1.0, abs=1e-3)
@@ -136,20 +136,20 @@ def test_a_loop_that_is_unstable_with_the_simulation_model_is_kept_with_its_reas
 
 def test_outcomes_do_not_depend_on_the_cluster_and_no_process_is_left():
     sets = weight_sets(given(), SPANS, 10, 0)
-    here = [evaluate(study(), number, weights) for number, weights in enumerate(sets)]
-    seen: list[int] = []
+    serial = [evaluate(study(), number, weights) for number, weights in enumerate(sets)]
+    progress: list[int] = []
     with cluster(workers=2) as client:
         assert len(client.ncores()) == 2
         with cluster(client.scheduler.address) as guest:  # one that runs already
             as_guest = explore(study(), sets[:3], guest)
-        there = explore(study(), sets, client, seen.append)
+        parallel = explore(study(), sets, client, progress.append)
         with pytest.raises(AbraceError, match="measured quantities a7"):
             explore(study(), [sets[0].model_copy(update={"measured": ["a7"]})], client)
-    assert [outcome.number for outcome in there] == list(range(11))
-    assert there == here
-    assert as_guest == here[:3]
-    assert seen == sorted(seen)
-    assert seen[-1] == 11
+    assert [outcome.number for outcome in parallel] == list(range(11))
+    assert parallel == serial
+    assert as_guest == serial[:3]
+    assert progress == sorted(progress)
+    assert progress[-1] == 11
     assert not multiprocessing.active_children()
 
 
@@ -160,7 +160,7 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch, address):
         pass
 
 
-def test_the_front_holds_the_points_that_no_other_beats_in_both():
+def test_the_pareto_front_has_the_points_that_no_other_beats_in_both():
     force, response = np.random.default_rng(1).uniform(size=(2, 300))
     beaten = ((force[:, None] >= force) & (response[:, None] >= response)).sum(axis=1) > 1
     front = pareto_front(force, response)
@@ -216,9 +216,9 @@ def test_a_set_is_written_as_weights_and_as_the_controller_that_was_tried(outcom
         load_set(tmp_path / "nowhere", 0)
 
 
-def test_a_margin_without_end_is_null_in_the_file(outcomes, tmp_path):
-    endless = replace(outcomes[0], margins=Margins(np.inf, 90.0, np.inf, 1.0))
-    save_exploration(tmp_path, study(), [endless], storey(), {})
+def test_an_infinite_margin_is_null_in_the_file(outcomes, tmp_path):
+    unlimited = replace(outcomes[0], margins=Margins(np.inf, 90.0, np.inf, 1.0))
+    save_exploration(tmp_path, study(), [unlimited], storey(), {})
     (found,) = json.loads((tmp_path / "exploration.json").read_text())["sets"]
     assert found["margins"] == {"gain": None, "phase": 90.0, "delay": None, "sensitivity_peak": 1.0}
     assert found["relative"]["x1"] == outcomes[0].relative["x1"]._asdict()

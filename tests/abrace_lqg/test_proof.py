@@ -98,7 +98,7 @@ def test_without_control_the_command_is_zero_and_the_building_moves_more(
 
 
 @pytest.mark.parametrize("wrong", [{"rms": 0.0}, {"band": (3.0, 3.0)}, {"band": (-1.0, 2.0)}, {"rms": np.inf}])
-def test_an_excitation_that_is_none_is_refused(wrong: dict):
+def test_an_excitation_without_rms_or_band_is_refused(wrong: dict):
     with pytest.raises(AbraceError, match="excitation of"):
         Excitation(**wrong)
 
@@ -179,12 +179,12 @@ def test_a_single_loss_moves_the_command_as_the_running_law_does(
     assert found.command_deviation == pytest.approx(expected, rel=1e-2)
 
 
-def test_rhythms_of_losses_that_the_loop_bears_are_those_of_the_running_law(rig_model: LinearModel):
+def test_periodic_losses_that_keep_the_loop_stable_are_those_of_the_running_law(rig_model: LinearModel):
     weights = load_weights(SOURCES / "abrace_lqg/config/lqg3.yaml")
     sound = design(rig_model, weights, PERIOD)
     edge = 10 ** (margins(rig_model, sound.controller).gain / 20)
     plant, shake = sampled(rig_model, PERIOD), np.random.default_rng(1).standard_normal(200)
-    # near its edge of stability the loop bears only rare losses, and how rare is seen in its motion
+    # near its edge of stability the loop stays stable only with rare losses; the motion shows how rare
     tense = louder(sound, 0.97 * edge)
     for one, in_a_row in ((sound, 1), (tense, 2)):
         found = lost_samples(
@@ -202,7 +202,7 @@ def test_rhythms_of_losses_that_the_loop_bears_are_those_of_the_running_law(rig_
 # refusals
 
 
-def test_a_sound_design_has_nothing_against_it(proof: Proof):
+def test_a_sound_design_has_no_objections(proof: Proof):
     assert require(proof).accepted == ()
     assert not proof.objections()
     assert proof.margins.gain > 8
@@ -267,7 +267,7 @@ def test_a_rig_of_two_brace_groups_is_proven_at_each_command():
     assert [text.get_text() for text in nichols.get_legend().get_texts()] == ["U1, five", "U2, five", "margins"]
 
 
-def test_the_proof_is_written_beside_the_controller_and_into_it(
+def test_the_proof_is_written_into_the_controller_file_and_its_folder(
     tmp_path: Path, rig_model: LinearModel, turned: LinearModel, designed: ControllerDesign
 ):
     models = {"rig": rig_model, "turned": turned}
@@ -291,7 +291,7 @@ def test_the_proof_is_written_beside_the_controller_and_into_it(
     assert {mode["kept"] > 0 for mode in rig["modes"]} == {True}
 
 
-def test_models_are_called_what_their_files_are(tmp_path: Path, rig_model: LinearModel):
+def test_models_have_the_names_of_their_files(tmp_path: Path, rig_model: LinearModel):
     paths = [tmp_path / "a/model.json", tmp_path / "b/model.json", tmp_path / "rig.json"]
     for path in paths:
         save_model(rig_model, path)

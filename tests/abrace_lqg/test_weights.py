@@ -1,4 +1,4 @@
-"""The weights file: what it says, and how it refuses what it cannot mean."""
+"""The weights file: what is read, written and refused."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_signal_of_no_known_kind_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("  command: 1.0 ", "  command: 0.0 ", "weights.command"),
         ("  force: 0.0 ", "  force: -1.0 ", "weights.force"),
@@ -78,9 +78,9 @@ def test_a_signal_of_no_known_kind_is_refused():
         ("measured:", "measured: [", "not YAML"),
     ],
 )
-def test_a_mistake_is_named_with_file_and_key(tmp_path: Path, old: str, new: str, said: str):
+def test_a_mistake_is_named_with_file_and_key(tmp_path: Path, old: str, new: str, message: str):
     path = changed(tmp_path, old, new)
-    with pytest.raises(AbraceError, match=said) as error:
+    with pytest.raises(AbraceError, match=message) as error:
         load_weights(path)
     assert str(path) in str(error.value)
 
