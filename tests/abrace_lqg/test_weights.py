@@ -90,6 +90,11 @@ def test_a_missing_file_is_named(tmp_path: Path):
         load_weights(tmp_path / "absent.yaml")
 
 
+def test_written_weights_read_back_with_their_relative_ones(tmp_path: Path):
+    save_weights(load_weights(LQG3), tmp_path / "w.yaml", "a test")
+    assert load_weights(tmp_path / "w.yaml") == load_weights(LQG3)
+
+
 def test_weights_of_any_size_read_back_as_they_were(tmp_path: Path):
     kinds = KindWeights(displacement=1e22, stroke=0.0, acceleration=0.0, force=0.0, command=1.0)
     weights = Weights(measured=["a1"], weights=kinds, noise_to_excitation=3e-9)

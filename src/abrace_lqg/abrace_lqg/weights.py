@@ -132,6 +132,7 @@ def save_weights(weights: Weights, path: Path | str, origin: str) -> None:
         Where the weights come from: a comment at the top of the file.
     """
     kinds = weights.weights.model_dump()
+    relative = [f"  {name}: {yaml_number(factor)}" for name, factor in weights.relative.items()]
     units = {
         "displacement": "1/m^2",
         "stroke": "1/m^2",
@@ -146,6 +147,7 @@ def save_weights(weights: Weights, path: Path | str, origin: str) -> None:
         "weights:",
         *(f"  {name}: {yaml_number(value)}  # {units[name]}" for name, value in kinds.items()),
         "",
+        *(["relative:", *relative, ""] if relative else []),
         f"noise_to_excitation: {yaml_number(weights.noise_to_excitation)}",
     ]
     write_text(path, "\n".join(lines) + "\n")
