@@ -32,7 +32,8 @@ from abrace_core.safety.sample_watch import SampleWatch
 from abrace_core.signals import command_names, response_names
 from abrace_core.wire import BraceCommands, Responses
 from abrace_lqg.active_controller import ActiveController
-from abrace_lqg.design import balanced, delayed, design, kalman, regulator
+from abrace_lqg.design import balanced, delayed, design
+from abrace_lqg.riccati import kalman, regulator
 from abrace_lqg.weights import Weights, load_weights
 from abrace_plant.rig.file import load_rig
 from abrace_sysid.models.reduction import balanced_truncation, typical_scales

@@ -4,10 +4,7 @@ The design model is the given one with its commands delayed, by Pade's approxima
 to the effect of its command: one sample of computation, half a sample of hold, and the model's own input delay (the
 servo's).
 
-The regulator minimises Eq. (11) with z-bar = C_z Z + D_z U, which gives cross terms of states and commands; the Kalman
-filter takes into account that the ground acceleration both drives the states and feeds through to the measured
-quantities (F_y), so that process and measurement noise are correlated (Anderson & Moore, Optimal Control: Linear
-Quadratic Methods, chapters 3 and 7).
+Regulator and Kalman filter are those of `riccati`; together they are Eq. (12).
 
 Eq. (12) becomes Eq. (13) by the bilinear transformation (Tustin): U(n) answers y(n) itself, a hold adds no delay of its
 own, a stable controller stays stable, and the response is that of Eq. (12) at the warped frequency tan(w T/2) 2/T,
@@ -26,14 +23,12 @@ from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_lqg.loop import is_stable
+from abrace_lqg.riccati import kalman, regulator
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_lqg.weights import Weights
-
-RESIDUAL_LIMIT = 1e-8
-"""Greatest residual of a Riccati equation, relative to its largest term."""
 
 
 @dataclass(frozen=True)
@@ -169,101 +164,6 @@ def balanced(model: LinearModel) -> LinearModel:
     """
     _, (scale, _) = linalg.matrix_balance(model.a, permute=False, separate=True)
     return replace(model, a=model.a * scale / scale[:, None], b=model.b / scale[:, None], c=model.c * scale)
-
-
-def regulator(
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    c: NDArray[np.float64],
-    d: NDArray[np.float64],
-    q: NDArray[np.float64],
-    r: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """K of U = -K Z that minimises the mean of z' Q z + U' R U with z = C Z + D U (Eq. 11).
-
-    Parameters
-    ----------
-    a, b, c, d
-        Shapes (states, states), (states, commands), (outputs, states), (outputs, commands).
-    q, r
-        Weights (outputs, outputs) and (commands, commands).
-
-    Returns
-    -------
-    NDArray
-        (commands, states).
-    """
-    cross, r = c.T @ q @ d, r + d.T @ q @ d
-    solution = riccati(a, b, c.T @ q @ c, r, cross, "regulator")
-    return np.asarray(linalg.solve(r, b.T @ solution + cross.T, assume_a="pos"))
-
-
-def kalman(
-    a: NDArray[np.float64],
-    e: NDArray[np.float64],
-    c: NDArray[np.float64],
-    f: NDArray[np.float64],
-    v: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Gain L of the Kalman filter for Z' = A Z + E W, y = C Z + F W + v, with W white of unit intensity.
-
-    Parameters
-    ----------
-    a, e, c, f
-        Shapes (states, states), (states, excitations), (measured, states), (measured, excitations).
-    v
-        Intensity of the measurement noise (measured, measured).
-
-    Returns
-    -------
-    NDArray
-        (states, measured).
-    """
-    return regulator(a.T, c.T, e.T, f.T, np.eye(e.shape[1]), v).T
-
-
-def riccati(
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    q: NDArray[np.float64],
-    r: NDArray[np.float64],
-    s: NDArray[np.float64],
-    name: str,
-) -> NDArray[np.float64]:
-    """The stabilising solution X of A'X + X A - (X B + S) R^-1 (B'X + S') + Q = 0 for `a`, `b`, `q`, `r`, `s`, checked.
-
-    States are scaled so that A is balanced, and inputs so that R has a unit diagonal: the units have no effect.
-
-    Raises
-    ------
-    AbraceError
-        If there is no solution, its residual is too large, or it is not stabilising; `name` is the equation's name.
-    """
-    _, (scale, _) = linalg.matrix_balance(a, permute=False, separate=True)
-    root = np.sqrt(np.diag(r))
-    a = a * scale / scale[:, None]
-    b = b / scale[:, None] / root
-    q = q * np.outer(scale, scale)
-    s = s * scale[:, None] / root
-    r = r / np.outer(root, root)
-    # X scales with Q, R and S together: make Q and B R^-1 B' of one size
-    size = np.sqrt(linalg.norm(q) / linalg.norm(b @ linalg.solve(r, b.T, assume_a="pos"))) or 1.0
-    q, r, s = q / size, r / size, s / size
-    try:
-        x = linalg.solve_continuous_are(a, b, q, r, s=s)
-    except (linalg.LinAlgError, ValueError) as error:
-        raise AbraceError(f"design: the {name}'s Riccati equation has no solution ({error})") from error
-    gain = linalg.solve(r, b.T @ x + s.T, assume_a="pos")
-    terms = (a.T @ x, x @ a, -(x @ b + s) @ gain, q)
-    residual = linalg.norm(sum(terms)) / max(linalg.norm(term) for term in terms)
-    if not residual < RESIDUAL_LIMIT:
-        raise AbraceError(
-            f"design: the {name}'s Riccati equation is left with a relative residual of {residual:.1e}, "
-            f"expected less than {RESIDUAL_LIMIT:.0e}"
-        )
-    if linalg.eigvals(a - b @ gain).real.max() >= 0:
-        raise AbraceError(f"design: the {name} is not stable")
-    return np.asarray(x / np.outer(scale, scale) * size)
 
 
 def observer(
