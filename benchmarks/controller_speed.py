@@ -1,12 +1,12 @@
 """The controller beside its peers: a step of it, its answer over DDS, its gains and its discretisation.
 
-step_us            a sample taken from its bytes to the bytes of its command: unpacked, watched for gaps, LQG3's law,
-                   the guard's checks, packed, the estimate told what acted; without DDS
-loop               sample to command between two processes over DDS, as who sends the sample sees it: our node
-                   `controller` against the bare echo of the same two messages, asked in turns in one run
+step_us            a sample from its bytes to the bytes of its command: unpacked, checked for gaps, LQG3's law, the
+                   guard's limits, packed, the estimate advanced with the applied force; without DDS
+loop               sample to command between two processes over DDS, measured by the sender of the sample: our node
+                   `controller` against the bare echo of the same two messages, in turns in one run
 lqr_agreement      largest difference of LQG3's gains from python-control's lqr (method='scipy') for the same balanced
-                   model and weights, over the largest gain; its lqe knows no correlated noise, so that the filter is
-                   compared by duality
+                   model and weights, over the largest gain; its lqe has no correlated noise: the filter is compared by
+                   duality
 tustin_agreement   the same of Eq. (13)'s frequency response against scipy's cont2discrete(method='bilinear')
 
 python benchmarks/controller_speed.py
@@ -32,7 +32,8 @@ from abrace_core.safety.sample_watch import SampleWatch
 from abrace_core.signals import command_names, response_names
 from abrace_core.wire import BraceCommands, Responses
 from abrace_lqg.active_controller import ActiveController
-from abrace_lqg.design import balanced, delayed, design, kalman, regulator
+from abrace_lqg.design import balanced, delayed, design
+from abrace_lqg.riccati import kalman, regulator
 from abrace_lqg.weights import Weights, load_weights
 from abrace_plant.rig.file import load_rig
 from abrace_sysid.models.reduction import balanced_truncation, typical_scales
@@ -88,14 +89,14 @@ def step_us(controller: Controller) -> float:
         responses, commands, watch = Responses(), BraceCommands(), SampleWatch(period)
         guard = CommandGuard(controller.force_limit, [5e6] * groups, period, 0.5)
         active = ActiveController(controller, 0.0)
-        active.begin(response_names(3, groups), command_names(groups), guard.force)
+        active.reset(response_names(3, groups), command_names(groups), guard.force)
         begin = time.perf_counter()
         for payload in payloads:
             stamp, sequence, z = responses.unpack(payload)
             lost = watch.take(sequence, stamp)
             force = guard.check(active.force(z, max(lost, 0))).tolist()
             commands.pack(stamp, sequence, force)
-            active.acted(force)
+            active.advance(force)
         best = min(best, time.perf_counter() - begin)
         assert watch.problem is None
         assert guard.fault_reason is None

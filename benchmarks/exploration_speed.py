@@ -1,10 +1,9 @@
 """Speed of an exploration: 1000 closed loops of 50 000 steps, saturation included, on this machine's cores.
 
 250 sets of weights, four records of noise at 0.1 g; models identified from the laboratory's tests: 8 states to design
-with, the consistent model of 13 to simulate and to take margins with. Designs, margins and peak and rms of every
-channel are timed with the loops, the sending of models and records to the processes too; starting and ending these is
-timed apart. Once a process has done its first set it has everything loaded: `first_set_seconds` is how long that took,
-and is part of `seconds_1000`.
+with, the consistent model of 13 for simulation and margins. The time includes designs, margins, peak and rms of every
+channel, and sending models and records to the processes; starting and ending the processes is timed separately. A
+process loads its modules for its first set: `first_set_seconds` is the time until that is done, part of `seconds_1000`.
 
 python benchmarks/exploration_speed.py
 """
@@ -38,9 +37,10 @@ def exploration_speed() -> dict[str, Any]:
 
 def measure() -> dict[str, Any]:
     """Seconds; for bench.json."""
-    from abrace_lqg.exploration.cluster import cluster
+    from abrace_lqg.exploration.cluster import cluster, explore
     from abrace_lqg.exploration.ensemble import noise_motion
-    from abrace_lqg.exploration.search import Study, evaluate, explore, weight_sets
+    from abrace_lqg.exploration.study import Study, evaluate
+    from abrace_lqg.exploration.weight_sets import weight_sets
     from abrace_lqg.weights import load_weights
     from abrace_plant.rig.file import load_rig
     from abrace_sysid.identification import identify
@@ -49,7 +49,7 @@ def measure() -> dict[str, Any]:
     laboratory = Laboratory(rig)
     models = identify(laboratory.multisine_test(True, False), laboratory.multisine_test(False, True))
     records = [noise_motion(seed, SECONDS, (0.1, 10.0), PERIOD).scaled(PEAK) for seed in range(RECORDS)]
-    study = Study.of(models.reduced, models.model, records, rig.capacity, PERIOD)
+    study = Study.of(models.reduced, models.model, records, capacity=rig.capacity, sample_period=PERIOD)
     sets = weight_sets(load_weights(SOURCE / "abrace_lqg/config/lqg3.yaml"), SPANS, SETS - 1, 0)
 
     evaluate(study, 0, sets[0])

@@ -1,32 +1,20 @@
-"""LQG design: gains against python-control, cross terms and correlated noise against closed forms, failures named."""
+"""LQG design: delays, discretisation and the closed loop against closed forms; refusals."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import control
 import numpy as np
 import pytest
 
 from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_lqg.design import delayed, design, kalman, regulator, riccati, tustin
+from abrace_lqg.design import delayed, design, tustin
 from abrace_lqg.loop import closed_loop
 from abrace_lqg.weights import Weights
 
 PERIOD = 0.002
-
-
-def small_system(states: int = 5, inputs: int = 2, outputs: int = 3) -> tuple[np.ndarray, ...]:
-    random = np.random.default_rng(7)
-    a = random.standard_normal((states, states)) - 1.5 * np.eye(states)
-    return (
-        a,
-        random.standard_normal((states, inputs)),
-        random.standard_normal((outputs, states)),
-        random.standard_normal((outputs, inputs)),
-    )
 
 
 def storey(displacement_unit: float = 1.0, delay: float = 0.0) -> LinearModel:
@@ -44,65 +32,6 @@ def weights(**changes: float) -> Weights:
     return Weights.model_validate({"measured": ["a1"], "weights": kinds, "noise_to_excitation": 0.1})
 
 
-def test_regulator_gain_agrees_with_python_control():
-    a, b, c, d = small_system()
-    q, r = np.diag([1.0, 2.0, 0.5]), np.diag([1.0, 3.0])
-    expected, _, _ = control.lqr(a, b, c.T @ q @ c, r + d.T @ q @ d, c.T @ q @ d, method="scipy")
-    np.testing.assert_allclose(regulator(a, b, c, d, q, r), expected, rtol=1e-8, atol=1e-10)
-
-
-def test_filter_gain_agrees_with_python_control_when_noises_are_independent():
-    a, e, c, _ = small_system()
-    v = np.diag([0.1, 0.2, 0.3])
-    expected, _, _ = control.lqe(a, e, c, np.eye(2), v, method="scipy")
-    np.testing.assert_allclose(kalman(a, e, c, np.zeros((3, 2)), v), expected, rtol=1e-8, atol=1e-10)
-
-
-def test_cross_terms_equal_the_problem_in_which_they_are_completed_away():
-    a, b, c, d = small_system()
-    q, r = np.diag([1.0, 2.0, 0.5]), np.diag([1.0, 3.0])
-    # U = U' - N x with N = R'^-1 D'QC turns z'Qz + U'RU into x'Q'x + U''R'U'', without a cross term
-    whole = r + d.T @ q @ d
-    shift = np.linalg.solve(whole, d.T @ q @ c)
-    rest = c.T @ q @ c - shift.T @ whole @ shift
-    rest = (rest + rest.T) / 2
-    equivalent, _, _ = control.lqr(a - b @ shift, b, rest, whole, method="scipy")
-    np.testing.assert_allclose(regulator(a, b, c, d, q, r), equivalent + shift, rtol=1e-8, atol=1e-10)
-
-
-def test_correlated_noise_equals_the_problem_in_which_it_is_subtracted():
-    a, e, c, f = small_system()
-    v = np.diag([0.1, 0.2, 0.3])
-    # E W less its projection T (F W + v) is independent of the measurement: Z' = (A - T C) Z + T y + (E W - T(F W + v))
-    whole = f @ f.T + v
-    share = e @ f.T @ np.linalg.inv(whole)
-    rest = e @ e.T - share @ whole @ share.T
-    rest = (rest + rest.T) / 2
-    equivalent, _, _ = control.lqe(a - share @ c, np.eye(5), c, rest, whole, method="scipy")
-    np.testing.assert_allclose(kalman(a, e, c, f, v), equivalent + share, rtol=1e-8, atol=1e-10)
-
-
-def test_a_double_integrator_gets_its_textbook_gain():
-    a, b = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
-    gain = regulator(a, b, np.array([[1.0, 0.0]]), np.zeros((1, 1)), np.eye(1), np.eye(1))
-    np.testing.assert_allclose(gain, [[1.0, np.sqrt(2)]], rtol=1e-12)
-
-
-def test_a_filter_of_one_state_with_feedthrough_has_its_closed_form():
-    # z' = -z + w, y = z + w + v: P = -(k) + sqrt(k^2 + ...) from (P + 1)^2 / (1 + v) = 1 - 2 P
-    v = 0.5
-    gain = kalman(-np.eye(1), np.eye(1), np.eye(1), np.eye(1), v * np.eye(1))
-    s = 1 + v
-    p = -(1 + s) + np.sqrt((1 + s) ** 2 + s - 1)
-    np.testing.assert_allclose(gain, [[(p + 1) / s]], rtol=1e-12)
-
-
-def test_an_unstabilisable_model_is_refused_by_name():
-    a = np.diag([1.0, -1.0])
-    with pytest.raises(AbraceError, match="regulator"):
-        riccati(a, np.array([[0.0], [1.0]]), np.eye(2), np.eye(1), np.zeros((2, 1)), "regulator")
-
-
 def test_a_delayed_command_has_unit_gain_and_the_whole_delays_phase():
     model = storey(delay=0.0008)
     omega = np.linspace(1, 2 * np.pi * 30, 200)
@@ -114,8 +43,8 @@ def test_a_delayed_command_has_unit_gain_and_the_whole_delays_phase():
     np.testing.assert_allclose(ratio[:, 0, 0], 1, rtol=1e-9)
 
 
-def test_the_delay_of_the_design_model_is_what_lies_between_sample_and_effect():
-    # a command from sample k, in force from k+1 to k+2: computation and hold, seen at the sampling instants
+def test_the_delay_of_the_design_model_is_that_from_sample_to_effect():
+    # a command from sample k, in force from k+1 to k+2: computation and hold, observed at the sampling instants
     model = storey(delay=0.0008)
     held = discretize(model, PERIOD)
     omega = np.linspace(1, 60, 50)
@@ -123,7 +52,7 @@ def test_the_delay_of_the_design_model_is_what_lies_between_sample_and_effect():
     np.testing.assert_allclose(delayed(model, PERIOD).frequency_response(omega)[:, 0, 1] / true, 1, atol=2e-3)
 
 
-def test_eq_12_is_the_filter_that_knows_its_own_command():
+def test_eq_12_is_the_filter_with_its_own_command_as_input():
     result = design(storey(), weights(), PERIOD)
     model, k, filter_gain = result.design_model, result.regulator_gain, result.filter_gain
     c, d = model.c[[1]], model.d[[1], 1:]
@@ -178,7 +107,7 @@ def test_a_relative_weight_of_a_signal_that_the_model_lacks_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("model", "said"),
+    ("model", "message"),
     [
         (discretize(storey(), PERIOD), "continuous"),
         (storey().select(inputs=["w"]), "commands"),
@@ -188,8 +117,8 @@ def test_a_relative_weight_of_a_signal_that_the_model_lacks_is_refused():
         (replace(storey(), outputs=("strain", "a1")), "'strain'"),
     ],
 )
-def test_a_model_that_does_not_fit_is_refused(model: LinearModel, said: str):
-    with pytest.raises(AbraceError, match=said):
+def test_a_model_that_does_not_fit_is_refused(model: LinearModel, message: str):
+    with pytest.raises(AbraceError, match=message):
         design(model, weights(), PERIOD)
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
-from abrace_lqg.loop import is_stable, loop_response
-from abrace_lqg.margins.disk_margin import DESCENT, DiskMargin, disk_margin, structured_bound
+from abrace_lqg.analysis.disk_margin import DESCENT_STEPS, DiskMargin, disk_margin, structured_bound
+from abrace_lqg.loop import Loop, is_stable
 
 PERIOD = 0.01
 
@@ -43,14 +43,14 @@ def test_mu_of_a_dyad_is_the_sum_of_its_diagonals_magnitudes():
 def test_mu_of_signals_that_have_nothing_to_do_with_each_other_is_the_largest():
     matrix = np.zeros((1, 3, 3), dtype=complex)
     matrix[0, [0, 1, 2], [0, 1, 2]] = [0.3j, -2.0, 1.0]
-    np.testing.assert_allclose(structured_bound(matrix, DESCENT), 2.0, rtol=1e-6)
+    np.testing.assert_allclose(structured_bound(matrix, DESCENT_STEPS), 2.0, rtol=1e-6)
 
 
 def test_mu_does_not_depend_on_units():
     matrix = complex_matrices(10, 4)
     units = np.array([1e6, 1.0, 1e-3, 20.0])
-    odd = structured_bound(matrix * units[:, None] / units, DESCENT)
-    np.testing.assert_allclose(odd, structured_bound(matrix, DESCENT), rtol=1e-6)
+    odd = structured_bound(matrix * units[:, None] / units, DESCENT_STEPS)
+    np.testing.assert_allclose(odd, structured_bound(matrix, DESCENT_STEPS), rtol=1e-6)
 
 
 def test_the_bound_is_met_by_a_perturbation():
@@ -78,7 +78,7 @@ def test_one_sensor_and_one_command_have_the_margin_of_their_closed_form():
     one = plant().select(["v1"])
     controller = law().select(inputs=["v1"])
     omega = np.geomspace(1, np.pi / PERIOD, 40_000)
-    root = np.sqrt(-loop_response(one, controller, omega))
+    root = np.sqrt(-Loop(one, controller).transfer_function("U", omega))
     mu = np.abs([(1 + root) / (1 - root), (1 - root) / (1 + root)]).max() / 2
     assert disk_margin(one, controller).alpha == pytest.approx(1 / mu, rel=1e-3)
 

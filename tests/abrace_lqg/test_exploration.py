@@ -17,15 +17,16 @@ from abrace_core.linear_model import LinearModel
 from abrace_core.response import PeakRms
 from abrace_core.run import Run
 from abrace_core.simulation import simulate_closed_loop
+from abrace_lqg.analysis.margins import Margins
 from abrace_lqg.design import design
 from abrace_lqg.exploration import cluster as exploration_cluster
-from abrace_lqg.exploration.cluster import cluster
+from abrace_lqg.exploration.cluster import cluster, explore
 from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motion
 from abrace_lqg.exploration.figure import trade_off
-from abrace_lqg.exploration.files import load_set, save_exploration, save_weights, write_set
+from abrace_lqg.exploration.files import load_set, save_exploration, write_set
 from abrace_lqg.exploration.report import pareto_front, report
-from abrace_lqg.exploration.search import Outcome, Study, evaluate, explore, weight_sets
-from abrace_lqg.margins.loop_margins import Margins
+from abrace_lqg.exploration.study import Outcome, Study, evaluate
+from abrace_lqg.exploration.weight_sets import weight_sets
 from abrace_lqg.weights import KindWeights, Weights, load_weights
 
 PERIOD = 0.01
@@ -52,7 +53,7 @@ def records() -> list[Record]:
 
 
 def study(simulation_model: LinearModel | None = None, capacity: np.ndarray = CAPACITY) -> Study:
-    return Study.of(storey(), simulation_model or storey(), records(), capacity, PERIOD)
+    return Study.of(storey(), simulation_model or storey(), records(), capacity=capacity, sample_period=PERIOD)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +95,7 @@ def test_the_first_sets_are_the_same_however_many_there_are_and_others_with_anot
         ({"displacement": (0.0, 0.0)}, "all are from 0 to 0"),
     ],
 )
-def test_spans_that_say_nothing_are_refused(spans, expected):
+def test_spans_that_vary_nothing_or_have_wrong_bounds_are_refused(spans, expected):
     with pytest.raises(AbraceError, match=expected):
         weight_sets(given(), spans, 4, 0)
 
@@ -119,7 +120,7 @@ def test_an_outcome_is_what_the_simulated_loop_does():
     assert "f" not in outcome.relative, "an ideal force is zero with a zero command: no ratio"
 
 
-def test_a_controller_that_does_next_to_nothing_leaves_the_response_as_it_is():
+def test_a_controller_of_negligible_command_does_not_change_the_response():
     outcome = evaluate(study(), 0, given(displacement=1e2))
     assert outcome.response("displacement") == pytest.approx(1.0, abs=1e-3)
     assert outcome.response("acceleration") == pytest.approx(1.0, abs=1e-3)
@@ -135,31 +136,31 @@ def test_a_loop_that_is_unstable_with_the_simulation_model_is_kept_with_its_reas
 
 def test_outcomes_do_not_depend_on_the_cluster_and_no_process_is_left():
     sets = weight_sets(given(), SPANS, 10, 0)
-    here = [evaluate(study(), number, weights) for number, weights in enumerate(sets)]
-    seen: list[int] = []
+    serial = [evaluate(study(), number, weights) for number, weights in enumerate(sets)]
+    progress: list[int] = []
     with cluster(workers=2) as client:
         assert len(client.ncores()) == 2
         with cluster(client.scheduler.address) as guest:  # one that runs already
             as_guest = explore(study(), sets[:3], guest)
-        there = explore(study(), sets, client, seen.append)
+        parallel = explore(study(), sets, client, progress.append)
         with pytest.raises(AbraceError, match="measured quantities a7"):
             explore(study(), [sets[0].model_copy(update={"measured": ["a7"]})], client)
-    assert [outcome.number for outcome in there] == list(range(11))
-    assert there == here
-    assert as_guest == here[:3]
-    assert seen == sorted(seen)
-    assert seen[-1] == 11
+    assert [outcome.number for outcome in parallel] == list(range(11))
+    assert parallel == serial
+    assert as_guest == serial[:3]
+    assert progress == sorted(progress)
+    assert progress[-1] == 11
     assert not multiprocessing.active_children()
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x", "nothing"])
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch, address):
-    monkeypatch.setattr(exploration_cluster, "PATIENCE", 0.3)
+    monkeypatch.setattr(exploration_cluster, "TIMEOUT", 0.3)
     with pytest.raises(AbraceError, match=f"Dask scheduler {address}: does not answer"), cluster(address):
         pass
 
 
-def test_the_front_holds_the_points_that_no_other_beats_in_both():
+def test_the_pareto_front_has_the_points_that_no_other_beats_in_both():
     force, response = np.random.default_rng(1).uniform(size=(2, 300))
     beaten = ((force[:, None] >= force) & (response[:, None] >= response)).sum(axis=1) > 1
     front = pareto_front(force, response)
@@ -215,18 +216,12 @@ def test_a_set_is_written_as_weights_and_as_the_controller_that_was_tried(outcom
         load_set(tmp_path / "nowhere", 0)
 
 
-def test_a_margin_without_end_is_null_in_the_file(outcomes, tmp_path):
-    endless = replace(outcomes[0], margins=Margins(np.inf, 90.0, np.inf, 1.0))
-    save_exploration(tmp_path, study(), [endless], storey(), {})
+def test_an_infinite_margin_is_null_in_the_file(outcomes, tmp_path):
+    unlimited = replace(outcomes[0], margins=Margins(np.inf, 90.0, np.inf, 1.0))
+    save_exploration(tmp_path, study(), [unlimited], storey(), {})
     (found,) = json.loads((tmp_path / "exploration.json").read_text())["sets"]
     assert found["margins"] == {"gain": None, "phase": 90.0, "delay": None, "sensitivity_peak": 1.0}
     assert found["relative"]["x1"] == outcomes[0].relative["x1"]._asdict()
-
-
-def test_weights_of_any_size_read_back_as_they_were(tmp_path):
-    weights = given(displacement=1e22).model_copy(update={"noise_to_excitation": 3e-9})
-    save_weights(weights, tmp_path / "w.yaml", "here")
-    assert load_weights(tmp_path / "w.yaml") == weights
 
 
 def test_the_figure_marks_the_given_weights_and_the_picked_set(outcomes):

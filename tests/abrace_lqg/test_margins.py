@@ -10,8 +10,8 @@ import pytest
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import simulate, simulate_closed_loop
-from abrace_lqg.loop import Loop, closed_loop, closed_loop_poles, is_stable, loop_response, sampled
-from abrace_lqg.margins.loop_margins import margins, margins_at
+from abrace_lqg.analysis.margins import margins, margins_at
+from abrace_lqg.loop import Loop, closed_loop, closed_loop_poles, is_stable, sampled
 
 PERIOD = 0.01
 
@@ -89,7 +89,7 @@ def test_a_lightly_damped_crossing_is_not_missed():
     found = margins(plant, gain(-0.008))
     assert found.delay < 1.0
     omega = np.linspace(19.9, 20.1, 200_001)
-    loop = loop_response(plant, gain(-0.008), omega)
+    loop = Loop(plant, gain(-0.008)).transfer_function("U", omega)
     crossings = np.flatnonzero(np.diff(np.abs(loop) > 1))
     assert len(crossings) == 2
     angles = np.mod(np.angle(-loop[crossings]), 2 * np.pi)
@@ -106,7 +106,8 @@ def test_a_loop_below_unit_gain_has_no_phase_or_delay_margin_to_lose():
 def test_negative_feedback_is_a_negative_controller():
     omega = np.array([3.0])
     z = np.exp(1j * omega * PERIOD)
-    np.testing.assert_allclose(loop_response(integrator(), gain(-2.0), omega), 2 * PERIOD / (z - 1) / z)
+    found = Loop(integrator(), gain(-2.0)).transfer_function("U", omega)
+    np.testing.assert_allclose(found, 2 * PERIOD / (z - 1) / z)
 
 
 def two_floors() -> tuple[LinearModel, LinearModel]:
@@ -186,11 +187,12 @@ def test_the_loop_broken_at_one_signal_is_the_plant_with_the_others_closed():
     z = np.exp(1j * omega * PERIOD)
     plant = sampled(model, PERIOD).select(controller.inputs, controller.outputs).frequency_response(omega)
     law = controller.frequency_response(omega)
+    found = Loop(model, controller).transfer_function("U1", omega)
     for k in range(len(omega)):
         # U2 closed by hand: u2 = l22 u2 + l21 u1, then u1 -> l11 u1 + l12 u2
         loop = law[k] @ plant[k] / z[k]
         expected = -(loop[0, 0] + loop[0, 1] * loop[1, 0] / (1 - loop[1, 1]))
-        np.testing.assert_allclose(loop_response(model, controller, omega, "U1")[k], expected, rtol=1e-10)
+        np.testing.assert_allclose(found[k], expected, rtol=1e-10)
 
 
 def test_margins_of_several_commands_are_the_worst_of_them():
@@ -213,7 +215,7 @@ def test_a_signal_that_the_loop_does_not_have_is_refused():
     with pytest.raises(AbraceError, match="'a3': expected one of U1, U2, a2, a1"):
         margins_at(*strong(), ["a3"])
     with pytest.raises(AbraceError, match="'a3': expected one of"):
-        loop_response(*strong(), np.ones(1), "a3")
+        Loop(*strong()).transfer_function("a3", np.ones(1))
 
 
 def test_a_loop_with_poles_that_coincide_is_evaluated_all_the_same():
@@ -228,7 +230,7 @@ def test_a_loop_with_poles_that_coincide_is_evaluated_all_the_same():
     z = np.exp(1j * omega * PERIOD)
     # held: x1 = T^2/2 (z + 1)/(z - 1)^2 u, x2 = T/(z - 1) u
     expected = (4 * PERIOD**2 / 2 * (z + 1) / (z - 1) ** 2 + 6 * PERIOD / (z - 1)) / z
-    np.testing.assert_allclose(Loop(plant, law).at("U", omega), expected, rtol=1e-8)
+    np.testing.assert_allclose(Loop(plant, law).transfer_function("U", omega), expected, rtol=1e-8)
     assert is_stable(plant, law)
     assert margins(plant, law).phase > 30
 

@@ -13,17 +13,17 @@ from scipy import linalg
 from abrace_core.controller_file import Controller, load_controller, save_controller
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel, save_model
-from abrace_lqg.controller import ControlLaw
+from abrace_lqg.analysis.lost_samples import lost_samples
+from abrace_lqg.analysis.margins import margins
+from abrace_lqg.analysis.mode_damping import mode_effects
+from abrace_lqg.analysis.prediction import Excitation, predicted_rms, rms_without_and_with_control
+from abrace_lqg.control_law import ControlLaw
 from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.loop import closed_loop, is_stable, sampled
-from abrace_lqg.margins.loop_margins import margins
-from abrace_lqg.margins.lost_samples import lost_samples
-from abrace_lqg.margins.mode_damping import mode_effects
-from abrace_lqg.margins.prediction import Excitation, controlled_and_not, predicted_rms
 from abrace_lqg.proof.checks import OBJECTIONS, SHORT_DELAY, UNSTABLE, Proof, prove, require
 from abrace_lqg.proof.figures import loop_figure
 from abrace_lqg.proof.files import load_models, save_proof
-from abrace_lqg.proof.table import lines
+from abrace_lqg.proof.table import table_lines
 from abrace_lqg.weights import Weights, load_weights
 from abrace_plant.rig.file import load_rig
 
@@ -91,14 +91,14 @@ def test_power_of_two_bands_adds_up(rig_model: LinearModel, designed: Controller
 def test_without_control_the_command_is_zero_and_the_building_moves_more(
     rig_model: LinearModel, designed: ControllerDesign
 ):
-    found = controlled_and_not(rig_model, designed.controller, Excitation())
+    found = rms_without_and_with_control(rig_model, designed.controller, Excitation())
     assert list(found) == [*rig_model.outputs, "U"]
     assert found["U"][0] == 0.0 < found["U"][1]
     assert all(controlled < 0.5 * without for name, (without, controlled) in found.items() if name[0] in "xa")
 
 
 @pytest.mark.parametrize("wrong", [{"rms": 0.0}, {"band": (3.0, 3.0)}, {"band": (-1.0, 2.0)}, {"rms": np.inf}])
-def test_an_excitation_that_is_none_is_refused(wrong: dict):
+def test_an_excitation_without_rms_or_band_is_refused(wrong: dict):
     with pytest.raises(AbraceError, match="excitation of"):
         Excitation(**wrong)
 
@@ -129,13 +129,13 @@ def test_each_pole_pair_is_followed_to_its_place_in_the_loop():
     assert low.frequency == pytest.approx(20.0)
     # v' = ... - gain v adds gain / (2 w) of damping, but for the loop's delay of 1.5 samples
     assert low.controlled_damping == pytest.approx(0.02 + 4.0 / 40.0, rel=0.05)
-    assert high.kept == pytest.approx(1.0, abs=1e-6)
+    assert high.damping_kept == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_mode_that_is_pushed_the_wrong_way_loses_damping():
     effects = mode_effects(two_oscillators(-0.1), damper(4.0), two_oscillators(0.0))
     # -0.1 of the gain: 0.4 / (2 * 60) of the damping ratio 0.01 is taken
-    assert effects[1].kept == pytest.approx((0.01 - 0.4 / 120) / 0.01, rel=0.1)
+    assert effects[1].damping_kept == pytest.approx((0.01 - 0.4 / 120) / 0.01, rel=0.1)
     assert all(mode.modelled for mode in effects)
 
 
@@ -158,7 +158,7 @@ def run(plant: LinearModel, designed: ControllerDesign, ground: np.ndarray, lost
         law.bridge(gap)
         gap = 0
         command = law.update(y).copy()
-        law.acted(command)
+        law.advance(command)
     return in_force
 
 
@@ -175,19 +175,21 @@ def test_a_single_loss_moves_the_command_as_the_running_law_does(
         usual.append(undisturbed[at])
     expected = np.sqrt(np.sum(np.square(changes), axis=0)).max() / np.sqrt(np.sum(np.square(usual)))
     narrow = Excitation(1.0, (3.0 - 1e-6, 3.0 + 1e-6))
-    found = lost_samples(rig_model, designed.controller, designed.correction, narrow, in_a_row)
+    found = lost_samples(rig_model, designed.controller, designed.correction, excitation=narrow, in_a_row=in_a_row)
     assert found.command_deviation == pytest.approx(expected, rel=1e-2)
 
 
-def test_rhythms_of_losses_that_the_loop_bears_are_those_of_the_running_law(rig_model: LinearModel):
+def test_periodic_losses_that_keep_the_loop_stable_are_those_of_the_running_law(rig_model: LinearModel):
     weights = load_weights(SOURCES / "abrace_lqg/config/lqg3.yaml")
     sound = design(rig_model, weights, PERIOD)
     edge = 10 ** (margins(rig_model, sound.controller).gain / 20)
     plant, shake = sampled(rig_model, PERIOD), np.random.default_rng(1).standard_normal(200)
-    # near its edge of stability the loop bears only rare losses, and how rare is seen in its motion
+    # near its edge of stability the loop stays stable only with rare losses; the motion shows how rare
     tense = louder(sound, 0.97 * edge)
     for one, in_a_row in ((sound, 1), (tense, 2)):
-        found = lost_samples(rig_model, one.controller, one.correction, Excitation(), in_a_row).stable_every
+        found = lost_samples(
+            rig_model, one.controller, one.correction, excitation=Excitation(), in_a_row=in_a_row
+        ).stable_every
         assert found is not None
         for period in {found, found - 1} - {in_a_row}:
             ground = np.concatenate([shake, np.zeros(9800)])
@@ -200,11 +202,11 @@ def test_rhythms_of_losses_that_the_loop_bears_are_those_of_the_running_law(rig_
 # refusals
 
 
-def test_a_sound_design_has_nothing_against_it(proof: Proof):
+def test_a_sound_design_has_no_objections(proof: Proof):
     assert require(proof).accepted == ()
     assert not proof.objections()
     assert proof.margins.gain > 8
-    assert proof.kept > 0.85
+    assert proof.least_damping_kept > 0.85
     assert "gain margin" in proof.summary()
 
 
@@ -220,7 +222,7 @@ def test_a_design_that_is_unstable_with_a_check_model_is_refused_unless_accepted
     accepted = require(found, [UNSTABLE])
     assert accepted.accepted == (UNSTABLE,)
     assert "accepted by name: unstable_with_check_model, the closed loop with turned" in accepted.summary()
-    assert any("NOT STABLE" in line for line in lines(accepted))
+    assert any("NOT STABLE" in line for line in table_lines(accepted))
 
 
 def test_a_delay_margin_under_4_ms_is_refused_unless_accepted_by_name(
@@ -265,20 +267,20 @@ def test_a_rig_of_two_brace_groups_is_proven_at_each_command():
     assert [text.get_text() for text in nichols.get_legend().get_texts()] == ["U1, five", "U2, five", "margins"]
 
 
-def test_the_proof_is_written_beside_the_controller_and_into_it(
+def test_the_proof_is_written_into_the_controller_file_and_its_folder(
     tmp_path: Path, rig_model: LinearModel, turned: LinearModel, designed: ControllerDesign
 ):
     models = {"rig": rig_model, "turned": turned}
     found = require(prove(designed, models), OBJECTIONS)
     file = tmp_path / "one.yaml"
     written = save_proof(found, models, designed.controller, file)
-    save_controller(controller_of(designed), file, lines(found))
+    save_controller(controller_of(designed), file, table_lines(found))
     assert [path.name for path in written] == ["one_proof.json", "one_loop.png", "one_poles.png", "one_prediction.png"]
     assert all(path.read_bytes()[:4] == b"\x89PNG" for path in written[1:])
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["one.yaml", *(path.name for path in written)])
     np.testing.assert_array_equal(load_controller(file).law.a, designed.controller.a)
     text = file.read_text()
-    assert all(f"# {line}\n" in text for line in lines(found))
+    assert all(f"# {line}\n" in text for line in table_lines(found))
     content = json.loads(written[0].read_text())
     rig, other = content["models"]
     assert content["accepted"] == [UNSTABLE]
@@ -289,7 +291,7 @@ def test_the_proof_is_written_beside_the_controller_and_into_it(
     assert {mode["kept"] > 0 for mode in rig["modes"]} == {True}
 
 
-def test_models_are_called_what_their_files_are(tmp_path: Path, rig_model: LinearModel):
+def test_models_have_the_names_of_their_files(tmp_path: Path, rig_model: LinearModel):
     paths = [tmp_path / "a/model.json", tmp_path / "b/model.json", tmp_path / "rig.json"]
     for path in paths:
         save_model(rig_model, path)

@@ -1,4 +1,4 @@
-"""The weights file: what it says, and how it refuses what it cannot mean."""
+"""The weights file: what is read, written and refused."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from abrace_core.errors import AbraceError
-from abrace_lqg.weights import kind, load_weights
+from abrace_lqg.weights import KindWeights, Weights, load_weights, save_weights, signal_kind
 
 LQG3 = Path(__file__).parents[2] / "src/abrace_lqg/config/lqg3.yaml"
 G = 9.80665
@@ -59,11 +59,11 @@ def test_without_relative_weights_all_signals_of_a_kind_weigh_the_same(tmp_path:
 
 def test_a_signal_of_no_known_kind_is_refused():
     with pytest.raises(AbraceError, match="'strain'"):
-        kind("strain")
+        signal_kind("strain")
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("  command: 1.0 ", "  command: 0.0 ", "weights.command"),
         ("  force: 0.0 ", "  force: -1.0 ", "weights.force"),
@@ -78,9 +78,9 @@ def test_a_signal_of_no_known_kind_is_refused():
         ("measured:", "measured: [", "not YAML"),
     ],
 )
-def test_a_mistake_is_named_with_file_and_key(tmp_path: Path, old: str, new: str, said: str):
+def test_a_mistake_is_named_with_file_and_key(tmp_path: Path, old: str, new: str, message: str):
     path = changed(tmp_path, old, new)
-    with pytest.raises(AbraceError, match=said) as error:
+    with pytest.raises(AbraceError, match=message) as error:
         load_weights(path)
     assert str(path) in str(error.value)
 
@@ -88,3 +88,15 @@ def test_a_mistake_is_named_with_file_and_key(tmp_path: Path, old: str, new: str
 def test_a_missing_file_is_named(tmp_path: Path):
     with pytest.raises(AbraceError, match=r"absent\.yaml: No such file"):
         load_weights(tmp_path / "absent.yaml")
+
+
+def test_written_weights_read_back_with_their_relative_ones(tmp_path: Path):
+    save_weights(load_weights(LQG3), tmp_path / "w.yaml", "a test")
+    assert load_weights(tmp_path / "w.yaml") == load_weights(LQG3)
+
+
+def test_weights_of_any_size_read_back_as_they_were(tmp_path: Path):
+    kinds = KindWeights(displacement=1e22, stroke=0.0, acceleration=0.0, force=0.0, command=1.0)
+    weights = Weights(measured=["a1"], weights=kinds, noise_to_excitation=3e-9)
+    save_weights(weights, tmp_path / "w.yaml", "a test")
+    assert load_weights(tmp_path / "w.yaml") == weights

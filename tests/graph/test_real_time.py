@@ -16,7 +16,7 @@ from geometry_msgs.msg import AccelStamped
 from abrace_core.controller_file import Controller, save_controller
 from abrace_core.linear_model import LinearModel
 from abrace_interfaces.msg import BraceCommand, Response
-from abrace_lqg.controller import ControlLaw
+from abrace_lqg.control_law import ControlLaw
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -175,7 +175,7 @@ def test_the_controller_answers_every_sample_with_its_law(graph, controller_file
     law, expected = ControlLaw(SMALL, LAW.inputs), []
     for answer in answers:
         expected.append(law.update(answered[answer.sequence].acceleration[::2])[0])
-        law.acted(answer.force.tolist())
+        law.advance(answer.force.tolist())
     assert [answer.force[0] for answer in answers][3:] == expected[3:]
     assert np.abs(expected).max() > 0
     graph.until_well("controller")

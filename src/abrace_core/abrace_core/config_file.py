@@ -1,4 +1,4 @@
-"""YAML files that people write: read, checked key by key, and refused with one clear line."""
+"""YAML files: read and checked key by key, refused with one clear line; and numbers written to them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import yaml
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
+    from collections.abc import Hashable, Mapping
 
 
 class Checked(pydantic.BaseModel):
@@ -50,6 +50,17 @@ def read_config(path: Path | str, schema: type[Schema], kind: str) -> Schema:
         raise AbraceError(f"{kind} file {path}: not YAML ({' '.join(str(error).split())})") from error
     if not isinstance(content, dict):
         raise AbraceError(f"{kind} file {path}: expected keys and values, found {type(content).__name__}")
+    return validated(content, schema, f"{kind} file {path}")
+
+
+def validated(content: Mapping[str, Any], schema: type[Schema], source: str) -> Schema:
+    """The `content` checked against `schema`; `source` names it in errors.
+
+    Raises
+    ------
+    AbraceError
+        `<source>: <key>: <value>, expected ...`, for the first mistake found.
+    """
     try:
         return schema.model_validate(content)
     except pydantic.ValidationError as error:
@@ -57,8 +68,18 @@ def read_config(path: Path | str, schema: type[Schema], kind: str) -> Schema:
         first = min(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] == "extra_forbidden":
-            raise AbraceError(f"{kind} file {path}: {key}: unknown key") from error
+            raise AbraceError(f"{source}: {key}: unknown key") from error
         if first["type"] == "missing":
-            raise AbraceError(f"{kind} file {path}: {key}: key is missing") from error
+            raise AbraceError(f"{source}: {key}: key is missing") from error
         expected = first["msg"].removeprefix("Value error, ")
-        raise AbraceError(f"{kind} file {path}: {key}: {first['input']!r}, expected otherwise: {expected}") from error
+        raise AbraceError(f"{source}: {key}: {first['input']!r}, expected otherwise: {expected}") from error
+
+
+def yaml_number(value: float) -> str:
+    """The shortest YAML text that reads back as the same `value`, with a point, so that ROS takes it for a double.
+
+    >>> yaml_number(28122000000.0), yaml_number(1e22), yaml_number(1e-5), yaml_number(0.1 + 0.2)
+    ('28122000000.0', '1.0e+22', '1.0e-05', '0.30000000000000004')
+    """
+    mantissa, e, exponent = repr(float(value)).partition("e")
+    return (mantissa if "." in mantissa else f"{mantissa}.0") + e + exponent

@@ -1,7 +1,6 @@
-"""The controller as a ROS 2 parameter file: YAML that a node takes with `--params-file` and that says where it is from.
+"""The controller as a ROS 2 parameter file, for `--params-file`, with its origin and proof as comments.
 
-Numbers are written with 17 digits where they need them, so that reading gives back the same bits, and with a point, so
-that ROS takes each for a double.
+Numbers are written such that reading gives back the same bits, and with a point, so that ROS takes each for a double.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import numpy as np
 import pydantic
 import yaml
 
-from abrace_core.config_file import Checked, read_config
+from abrace_core.config_file import Checked, read_config, validated, yaml_number
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import LinearModel
@@ -34,17 +33,17 @@ class ControllerParameters(Checked):
     Parameters
     ----------
     name
-        What the controller is called.
+        Of the controller.
     model, weights, margins
-        Facts: what it was designed from, what was asked for, and the margins that were predicted.
+        Texts: the model and the weights that it was designed with, and its predicted margins.
     sample_period
         [s].
     measured, commands
-        Names of what it takes and gives.
+        Names of its inputs and outputs.
     states
-        Their number.
+        Number of states.
     force_limit
-        (commands,) [N]: commands are cut to it, either way.
+        (commands,) [N]: commands are limited to it in both directions.
     a_d, b_d, c_d, d_d
         Eq. (13).
     g_d, p_d
@@ -78,23 +77,28 @@ class _File(Checked):
 
 @dataclass(frozen=True)
 class Controller:
-    """A controller with what a run needs to know of it.
+    """A controller: its law, the observer form of its estimate, and its force limits.
 
     Parameters
     ----------
     name
-        What it is called.
+        Of the controller.
     law
         Eq. (13): discrete model from the measured quantities to the commands.
     correction
-        (states, commands) G_d: what is added to the next state for each newton by which the command that acted differs
-        from the law's: q(n+1) = A_d q(n) + B_d y(n) + G_d (U_acted(n) - U_law(n)).
+        (states, commands) G_d: change of the next state for each newton of difference between the applied command and
+        the law's: q(n+1) = A_d q(n) + B_d y(n) + G_d (U_acted(n) - U_law(n)).
     prediction
-        (measured, states + commands) P_d: the measured values that the estimate expects, P_d [q(n); U_acted(n)].
+        (measured, states + commands) P_d: the measured values that the estimate predicts, P_d [q(n); U_acted(n)].
     force_limit
         (commands,) [N].
     model, weights, margins
-        Facts, one line each: what it was designed from, what was asked for, the predicted margins.
+        Texts of one line: the model and the weights that it was designed with, and its predicted margins.
+
+    Raises
+    ------
+    AbraceError
+        If the law is continuous, has no states or is not stable, or a matrix or limit does not fit it.
     """
 
     name: str
@@ -141,11 +145,11 @@ def save_controller(controller: Controller, path: Path | str, proof: Sequence[st
     Parameters
     ----------
     controller
-        What to write.
+        The controller.
     path
         Of the file.
     proof
-        Lines of the controller's proof, for people to read: comments at the top of the file.
+        Lines of the controller's proof: comments at the top of the file.
 
     Raises
     ------
@@ -153,19 +157,19 @@ def save_controller(controller: Controller, path: Path | str, proof: Sequence[st
         If the file cannot be written.
     """
     law = controller.law
-    facts = {key: " ".join(getattr(controller, key).split()) for key in ("name", "model", "weights", "margins")}
+    texts = {key: " ".join(getattr(controller, key).split()) for key in ("name", "model", "weights", "margins")}
     lines = [
-        f"# Controller {facts['name']}: Eq. (13), U(n) = C_d q(n) + D_d y(n), q(n+1) = A_d q(n) + B_d y(n)",
+        f"# Controller {texts['name']}: Eq. (13), U(n) = C_d q(n) + D_d y(n), q(n+1) = A_d q(n) + B_d y(n)",
         "# + G_d (U_acted(n) - U(n)), U_acted being what limits left of U; y(n) = P_d [q(n); U_acted(n)] is expected.",
         "# A ROS 2 parameter file, written by abrace; SI units; matrices row by row.",
-        f"# Made from: {facts['model']}",
-        f"# Weights: {facts['weights']}",
-        f"# Predicted: {facts['margins']}",
+        f"# Made from: {texts['model']}",
+        f"# Weights: {texts['weights']}",
+        f"# Predicted: {texts['margins']}",
         *(f"# {line}" for line in proof),
         "/**:",
         "  ros__parameters:",
-        *(f"    {key}: {_quoted(value)}" for key, value in facts.items()),
-        f"    sample_period: {_number(law.sample_period)}",
+        *(f"    {key}: {_quoted(value)}" for key, value in texts.items()),
+        f"    sample_period: {yaml_number(law.sample_period)}",
         f"    measured: [{', '.join(map(_quoted, law.inputs))}]",
         f"    commands: [{', '.join(map(_quoted, law.outputs))}]",
         f"    states: {law.order}",
@@ -198,7 +202,7 @@ def controller_from_parameters(parameters: Mapping[str, Any], source: str) -> Co
     parameters
         A value for each field of `ControllerParameters`; lists may be arrays.
     source
-        Who asks, for messages.
+        Named in error messages.
 
     Raises
     ------
@@ -209,17 +213,11 @@ def controller_from_parameters(parameters: Mapping[str, Any], source: str) -> Co
         key: list(value) if hasattr(value, "__iter__") and not isinstance(value, str) else value
         for key, value in parameters.items()
     }
-    try:
-        checked = ControllerParameters.model_validate(values)
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise AbraceError(f"{source}: {key}: {first['msg']}") from error
-    return _controller(checked, source)
+    return _controller(validated(values, ControllerParameters, source), source)
 
 
 def _controller(parameters: ControllerParameters, source: str) -> Controller:
-    """The controller that checked parameters describe, with lengths checked."""
+    """The controller of checked parameters, once the matrices have the lengths that states and names call for."""
     n, p, m = parameters.states, len(parameters.measured), len(parameters.commands)
     matrices: dict[str, NDArray[np.float64]] = {}
     eq_13 = (("a_d", (n, n)), ("b_d", (n, p)), ("c_d", (m, n)), ("d_d", (m, p)))
@@ -252,23 +250,11 @@ def _controller(parameters: ControllerParameters, source: str) -> Controller:
         raise AbraceError(f"{source}: {error}") from error
 
 
-def _row(values: Sequence[float] | NDArray[np.float64]) -> str:
-    return ", ".join(_number(float(value)) for value in values)
-
-
-def _number(value: float) -> str:
-    """The shortest text that reads back as the same double, and as nothing but a double: with a point.
-
-    Subnormal numbers, which ROS's parser takes for text, are written as zero.
-
-    >>> _number(5.0), _number(1e-5), _number(0.1 + 0.2)
-    ('5.0', '1.0e-05', '0.30000000000000004')
-    """
-    value = 0.0 if abs(value) < np.finfo(np.float64).tiny else value
-    mantissa, e, exponent = repr(float(value)).partition("e")
-    return (mantissa if "." in mantissa else f"{mantissa}.0") + e + exponent
+def _row(values: NDArray[np.float64]) -> str:
+    """Numbers separated by commas; subnormal ones, which ROS's parser takes for text, are written as zero."""
+    return ", ".join(yaml_number(0.0 if abs(value) < np.finfo(np.float64).tiny else value) for value in values)
 
 
 def _quoted(text: str) -> str:
-    """A YAML string in quotes, which ROS never takes for a number."""
+    """A YAML string in quotes, so that ROS never takes it for a number."""
     return yaml.safe_dump(text, default_style='"', width=10**9, allow_unicode=True).strip()

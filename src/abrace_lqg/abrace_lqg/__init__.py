@@ -1,1 +1,1 @@
-"""Models to controllers: LQG design, margins, the run-time law and its parameter file."""
+"""From models to LQG controllers: weights, design, analysis of the closed loop, proof, and the law at run time."""

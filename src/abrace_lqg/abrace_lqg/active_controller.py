@@ -1,8 +1,8 @@
-"""What the node `controller` does with its samples: a force that comes in smoothly and changes laws smoothly.
+"""The controller in use: fades its command in, and changes over to another controller without a jump in force.
 
-A law comes into use by a fade along half a cosine, from the force that acts (when the node is activated, after a
-fault) or from the law before it. The estimates of both are fed with the same samples and with the force that really
-acted, a mixture of the two, so that neither has anything to catch up with when the fade is over.
+A fade follows half a cosine: at activation and after a fault from the force that is applied then, in a change from the
+command of the law in use to that of the incoming law. Both estimates are updated with the same samples and with the
+force that is really applied, a mixture of both commands, so that neither has a transient when the fade ends.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.errors import AbraceError
-from abrace_lqg.controller import ControlLaw
+from abrace_lqg.control_law import ControlLaw
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from abrace_core.controller_file import Controller
 
-WARM_UP = 2.0
-"""Seconds for which the estimate of a law that is to follow another runs beside it before the fade begins."""
+SETTLING_TIME = 2.0
+"""Seconds for which the estimate of an incoming law settles, in parallel with the law in use, before its fade."""
 
 
 class ActiveController:
@@ -32,36 +32,36 @@ class ActiveController:
     Parameters
     ----------
     controller
-        The one to begin with.
+        The first controller.
     ramp_time
-        [s] of a fade.
+        Duration of a fade [s].
 
     Attributes
     ----------
     controller
-        The one in use, or the one that is coming into use.
+        The controller in use or, during a change, the incoming one.
     """
 
     def __init__(self, controller: Controller, ramp_time: float) -> None:
         self.controller = controller
         self._period = controller.law.sample_period
         steps = round(ramp_time / self._period)
-        self._shares = [(1 - math.cos(math.pi * j / steps)) / 2 for j in range(1, steps)]
+        self._fade = [(1 - math.cos(math.pi * j / steps)) / 2 for j in range(1, steps)]
         self._names: tuple[str, ...] = ()
         self._law: ControlLaw | None = None
-        self._coming: ControlLaw | None = None
-        self._held = np.zeros(len(controller.law.outputs))
-        self._waiting = self._faded = 0
+        self._incoming: ControlLaw | None = None
+        self._initial_force = np.zeros(len(controller.law.outputs))
+        self._settling_left = self._fade_step = 0
 
     @property
     def state(self) -> str:
-        """What it is doing, in words."""
-        if self._coming is None:
+        """In words, for diagnostics."""
+        if self._incoming is None:
             return "in use" if self._law else "waiting for samples"
-        return "warming up" if self._waiting else "fading in"
+        return "warming up" if self._settling_left else "fading in"
 
-    def begin(self, names: Sequence[str], commands: Sequence[str], force: NDArray[np.float64]) -> None:
-        """Begin anew with the next sample: the estimate at zero, fading in from the force that acts.
+    def reset(self, names: Sequence[str], commands: Sequence[str], force: NDArray[np.float64]) -> None:
+        """Start with the next sample: the estimate at zero, the command fading in from the `force` applied until then.
 
         Parameters
         ----------
@@ -80,32 +80,33 @@ class ActiveController:
             raise AbraceError(
                 f"controller {self.controller.name} gives {', '.join(law.outputs)}, the rig takes {', '.join(commands)}"
             )
-        coming = ControlLaw(self.controller, names)
-        self._names, self._law, self._coming = tuple(names), None, coming
-        self._held, self._waiting, self._faded = np.array(force), 0, 0
+        incoming = ControlLaw(self.controller, names)
+        self._names, self._law, self._incoming = tuple(names), None, incoming
+        self._initial_force, self._settling_left, self._fade_step = np.array(force), 0, 0
 
-    def change(self, controller: Controller) -> None:
-        """Let another `controller` follow the one in use: after WARM_UP beside it, by a fade.
+    def change_to(self, controller: Controller) -> None:
+        """Change over to another `controller` by a fade, after SETTLING_TIME.
 
         Raises
         ------
         AbraceError
-            If nothing is in use yet, a change is under way, or the controller is for another rig.
+            If no controller is in use yet, a change is under way, or the controller is for another rig.
         """
-        now, then = self.controller, controller
-        if self._law is None or self._coming is not None:
-            raise AbraceError(f"controller {now.name} is {self.state}, expected one in use")
-        if abs(then.law.sample_period - self._period) > 1e-12:
+        current = self.controller
+        if self._law is None or self._incoming is not None:
+            raise AbraceError(f"controller {current.name} is {self.state}, expected one in use")
+        law = controller.law
+        if abs(law.sample_period - self._period) > 1e-12:
             raise AbraceError(
-                f"controller {then.name}: sample period {then.law.sample_period} s, expected {self._period} s"
+                f"controller {controller.name}: sample period {law.sample_period} s, expected {self._period} s"
             )
-        if then.law.outputs != now.law.outputs or then.force_limit.tolist() != now.force_limit.tolist():
+        if law.outputs != current.law.outputs or controller.force_limit.tolist() != current.force_limit.tolist():
             raise AbraceError(
-                f"controller {then.name}: {', '.join(then.law.outputs)} within {then.force_limit.tolist()} N, "
-                f"expected {', '.join(now.law.outputs)} within {now.force_limit.tolist()} N as {now.name}"
+                f"controller {controller.name}: {', '.join(law.outputs)} within {controller.force_limit.tolist()} N, "
+                f"expected {', '.join(current.law.outputs)} within {current.force_limit.tolist()} N as {current.name}"
             )
-        self._coming = ControlLaw(then, self._names)
-        self.controller, self._waiting, self._faded = then, round(WARM_UP / self._period), 0
+        self._incoming = ControlLaw(controller, self._names)
+        self.controller, self._settling_left, self._fade_step = controller, round(SETTLING_TIME / self._period), 0
 
     def force(self, values: Sequence[float], lost: int) -> NDArray[np.float64]:
         """The force wanted in answer to a sample.
@@ -113,44 +114,44 @@ class ActiveController:
         Parameters
         ----------
         values
-            What was measured, in the order of the names.
+            Measured values, in the order of the names.
         lost
-            Samples lost just before.
+            Number of samples lost just before.
 
         Returns
         -------
         NDArray
             (commands,) [N], valid until the next call.
         """
-        law, coming = self._law, self._coming
+        law, incoming = self._law, self._incoming
         if lost:
-            for one in (law, coming):
+            for one in (law, incoming):
                 if one is not None:
                     one.bridge(lost)
-        before = self._held if law is None else law.update(values)
-        if coming is None:
+        before = self._initial_force if law is None else law.update(values)
+        if incoming is None:
             return before
-        after = coming.update(values)
-        if self._waiting:
-            self._waiting -= 1
+        after = incoming.update(values)
+        if self._settling_left:
+            self._settling_left -= 1
             return before
-        if self._faded == len(self._shares):
-            self._law, self._coming = coming, None
+        if self._fade_step == len(self._fade):
+            self._law, self._incoming = incoming, None
             return after
-        share = self._shares[self._faded]
-        self._faded += 1
+        share = self._fade[self._fade_step]
+        self._fade_step += 1
         return before + share * (after - before)
 
-    def acted(self, force: list[float]) -> None:
-        """The force (commands,) [N] that acts in answer to the sample; once after each `force`."""
+    def advance(self, force: list[float]) -> None:
+        """Advance the estimates to the next sample, `force` (commands,) [N] being applied; once after each `force`."""
         if self._law is not None:
-            self._law.acted(force)
-        if self._coming is not None:
-            self._coming.acted(force)
+            self._law.advance(force)
+        if self._incoming is not None:
+            self._incoming.advance(force)
 
     def innovation_rms(self) -> dict[str, float]:
-        """Rms of measured minus expected value, by name, of the law in use or, before there is one, coming into use."""
-        law = self._law or self._coming
+        """Rms of the innovation by name of the measured quantity; of the incoming law if none is in use yet."""
+        law = self._law or self._incoming
         if law is None:
             return {}
         return dict(zip(law.names, law.innovation_rms().tolist(), strict=True))

@@ -1,10 +1,11 @@
-"""The sampled loop of a model and a controller: in the time domain as one model, and over frequency, broken anywhere.
+"""The sampled loop of a model and a controller: closed, as one model, or broken at one signal, over frequency.
 
-The loop is that of the graph: the command computed from sample k is in force from sample k+1 to k+2, held. It is broken
-at one signal, a command on its way to the plant's input U or a sensor, while the others stay closed; its frequency
-response is that of the discrete models, exact at every frequency below half the sampling rate, with the computational
-delay of one sample. With S = 1/(1 + L) the diagonal entry of the sensitivity that belongs to that signal and T = 1 - S
-the complementary one, L = T/(1 - T) (Skogestad and Postlethwaite 2005, Multivariable Feedback Control, chapter 2).
+The timing is that of the rig: the command computed from sample k is in force from sample k+1 to k+2, held. The loop is
+broken at one signal, a command at the plant's input U or a measured quantity, while the others stay closed. Its
+transfer function is that of the discrete models, exact at every frequency below half the sampling rate, with the
+computational delay of one sample. With S = 1/(1 + L) the diagonal entry of the sensitivity that belongs to that signal
+and T = 1 - S the complementary sensitivity, L = T/(1 - T) (Skogestad and Postlethwaite 2005, Multivariable Feedback
+Control, chapter 2).
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-LOWEST = 1e-4
-"""Where frequencies begin [rad/s]."""
+LOWEST_FREQUENCY = 1e-4
+"""Where frequency grids begin [rad/s]."""
 
-DISTINCT = 1e10
-"""Condition of the eigenvectors up to which a model is evaluated as a sum over its poles."""
+LARGEST_CONDITION = 1e10
+"""Condition number of the eigenvectors up to which a model is evaluated by its poles and residues."""
 
-GONE = 1e-4
-"""|z| of a pole that dies out within one sample, as those of a delay do: no oscillation."""
+NEGLIGIBLE_POLE = 1e-4
+"""|z| of a pole that decays within one sample, as those of a delay do: it is not counted as an oscillation."""
 
 
 def sampled(model: LinearModel, sample_period: float) -> LinearModel:
@@ -54,12 +55,12 @@ def closed_loop(model: LinearModel, controller: LinearModel) -> LinearModel:
     Returns
     -------
     LinearModel
-        States: the model's, the commands in force, the controller's. A command at sample k is the one in force from
-        there to the next.
+        States: the model's, the commands in force, the controller's. The command at sample k is the one in force from
+        that sample to the next.
     """
     plant = sampled(model, controller.sample_period)
-    outside = tuple(name for name in plant.inputs if name not in controller.outputs)
-    driven = plant.select(inputs=outside)
+    external = tuple(name for name in plant.inputs if name not in controller.outputs)
+    driven = plant.select(inputs=external)
     commanded = plant.select(inputs=controller.outputs)
     y_driven, y_commanded = driven.select(controller.inputs), commanded.select(controller.inputs)
     n, m, states = plant.order, len(controller.outputs), controller.order
@@ -72,23 +73,22 @@ def closed_loop(model: LinearModel, controller: LinearModel) -> LinearModel:
     )
     b = np.vstack([driven.b, controller.d @ y_driven.d, controller.b @ y_driven.d])
     c = np.block([[plant.c, commanded.d, np.zeros((len(plant.c), states))], [np.eye(m, n + m + states, n)]])
-    d = np.vstack([driven.d, np.zeros((m, len(outside)))])
-    return LinearModel(a, b, c, d, outside, plant.outputs + controller.outputs, controller.sample_period)
+    d = np.vstack([driven.d, np.zeros((m, len(external)))])
+    return LinearModel(a, b, c, d, external, plant.outputs + controller.outputs, controller.sample_period)
 
 
 def closed_loop_poles(model: LinearModel, controller: LinearModel) -> list[tuple[float, float]]:
-    """(frequency [rad/s], damping ratio) of the loop's oscillating poles, slowest first, as in `closed_loop`."""
-    poles = np.asarray(np.linalg.eigvals(closed_loop(model, controller).a), dtype=np.complex128)
-    return _oscillations(poles, controller.sample_period)
+    """(frequency [rad/s], damping ratio) of the oscillating poles, slowest first; arguments as in `closed_loop`."""
+    return _oscillations(eigenvalues(closed_loop(model, controller).a), controller.sample_period)
 
 
 def is_stable(model: LinearModel, controller: LinearModel) -> bool:
-    """Whether the loop is stable; arguments as in `closed_loop`."""
-    return bool(np.abs(np.linalg.eigvals(closed_loop(model, controller).a)).max() < 1)
+    """Whether the closed loop is stable; arguments as in `closed_loop`."""
+    return bool(np.abs(eigenvalues(closed_loop(model, controller).a)).max() < 1)
 
 
 class Loop:
-    """The loop of a model and a controller, made ready to be evaluated at many frequencies.
+    """Transfer functions of the loop of a model and a controller, prepared for evaluation at many frequencies.
 
     Parameters
     ----------
@@ -98,9 +98,9 @@ class Loop:
     Attributes
     ----------
     signals
-        Where it can be broken: the commands, then the measured quantities.
+        Names of the signals at which it can be broken: the commands, then the measured quantities.
     is_stable
-        Whether it is stable when closed.
+        Whether the closed loop is stable.
     """
 
     def __init__(self, model: LinearModel, controller: LinearModel) -> None:
@@ -108,69 +108,59 @@ class Loop:
         plant = whole.select(controller.inputs, controller.outputs)
         self.sample_period = controller.sample_period
         self.signals = (*controller.outputs, *controller.inputs)
-        (open_poles, self._forward), (own_poles, self._back) = _evaluator(plant), _evaluator(controller)
-        closed_poles = np.asarray(np.linalg.eigvals(closed_loop(whole, controller).a), dtype=np.complex128)
+        plant_poles, self._plant_response = _evaluator(plant)
+        controller_poles, self._controller_response = _evaluator(controller)
+        closed_poles = eigenvalues(closed_loop(whole, controller).a)
         self.is_stable = bool(np.abs(closed_poles).max() < 1)
-        self._poles = np.concatenate([open_poles, own_poles, closed_poles])
+        self._poles = np.concatenate([plant_poles, controller_poles, closed_poles])
 
-    def paths(self, omega: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """The plant with the delay of one sample (frequencies, measured, commands), and the controller, at `omega`."""
+    def components(self, omega: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Responses of plant and controller at `omega` [rad/s].
+
+        That of the plant (frequencies, measured, commands) includes the delay of one sample; that of the controller is
+        (frequencies, commands, measured).
+        """
         z = np.exp(1j * omega * self.sample_period)
-        return self._forward(z) / z[:, None, None], self._back(z)
+        return self._plant_response(z) / z[:, None, None], self._controller_response(z)
 
-    def complementary(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def complementary_sensitivity(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
         """T of the loop broken at each of `signals`, the others closed: (frequencies, signals) at `omega` [rad/s]."""
-        forward, back = self.paths(omega)
+        plant, controller = self.components(omega)
         # T = L (1 + L)^-1 with L = -K G at the commands and -G K at the sensors, where G (1 - K G)^-1 K is the same T
-        if back.shape[1] == 1:
-            through = back / (1 - back @ forward)
+        if controller.shape[1] == 1:
+            through = controller / (1 - controller @ plant)
         else:
-            through = np.asarray(np.linalg.solve(np.eye(back.shape[1]) - back @ forward, back), dtype=np.complex128)
-        at_commands = -np.einsum("fmp,fpm->fm", through, forward)
-        at_sensors = -np.einsum("fpm,fmp->fp", forward, through)
+            difference = np.eye(controller.shape[1]) - controller @ plant
+            through = np.asarray(np.linalg.solve(difference, controller), dtype=np.complex128)
+        at_commands = -np.einsum("fmp,fpm->fm", through, plant)
+        at_sensors = -np.einsum("fpm,fmp->fp", plant, through)
         return np.hstack([at_commands, at_sensors])
 
-    def at(self, signal: str, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """L (frequencies,) of the loop broken at `signal`, at `omega` [rad/s], negative feedback."""
-        if signal not in self.signals:
-            raise AbraceError(f"loop broken at {signal!r}: expected one of {', '.join(self.signals)}")
-        complementary = self.complementary(omega)[:, self.signals.index(signal)]
+    def transfer_function(self, signal: str, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """L (frequencies,) of the loop broken at `signal`, at `omega` [rad/s]; 1 + L = 0 at the edge of stability."""
+        complementary = self.complementary_sensitivity(omega)[:, self.index(signal)]
         return complementary / (1 - complementary)
 
+    def index(self, signal: str) -> int:
+        """Position of `signal` among `signals`; an AbraceError if it is not one of them."""
+        if signal not in self.signals:
+            raise AbraceError(f"loop broken at {signal!r}: expected one of {', '.join(self.signals)}")
+        return self.signals.index(signal)
+
     def frequencies(self) -> NDArray[np.float64]:
-        """Frequencies [rad/s] up to half the sampling rate that miss no crossing."""
-        return resolving(self._poles, self.sample_period, (LOWEST, np.pi / self.sample_period))
+        """Frequencies [rad/s] up to half the sampling rate, dense enough that no crossing is missed."""
+        return frequency_grid(self._poles, self.sample_period, (LOWEST_FREQUENCY, np.pi / self.sample_period))
 
 
-def loop_response(
-    model: LinearModel, controller: LinearModel, omega: NDArray[np.float64], signal: str = ""
-) -> NDArray[np.complex128]:
-    """L of the loop broken at one signal, negative feedback: 1 + L = 0 at the edge of stability.
-
-    Parameters
-    ----------
-    model, controller
-        As in `closed_loop`.
-    omega
-        (frequencies,) [rad/s].
-    signal
-        A command or a measured quantity; the first command if none is named.
-
-    Returns
-    -------
-    NDArray
-        (frequencies,) complex.
-    """
-    return Loop(model, controller).at(signal or controller.outputs[0], omega)
-
-
-def resolving(poles: NDArray[np.complex128], sample_period: float, span: tuple[float, float]) -> NDArray[np.float64]:
-    """Frequencies [rad/s] that show all that a loop does: dense where a pole or its damping asks for it.
+def frequency_grid(
+    poles: NDArray[np.complex128], sample_period: float, span: tuple[float, float]
+) -> NDArray[np.float64]:
+    """Frequencies [rad/s], evenly spaced on a logarithmic scale and denser around each oscillating pole.
 
     Parameters
     ----------
     poles
-        (poles,) in the z plane; the oscillating ones have to be resolved.
+        (poles,) in the z plane; the less damped one is, the closer are the frequencies around it.
     sample_period
         [s].
     span
@@ -183,14 +173,19 @@ def resolving(poles: NDArray[np.complex128], sample_period: float, span: tuple[f
     return omega[(omega >= span[0]) & (omega <= span[1])]
 
 
+def eigenvalues(matrix: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Eigenvalues (n,) of a real `matrix` (n, n): the poles in the z plane of a discrete model."""
+    return np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
+
+
 def _evaluator(
     model: LinearModel,
 ) -> tuple[NDArray[np.complex128], Callable[[NDArray[np.complex128]], NDArray[np.complex128]]]:
-    """The model's poles, and its response (points, outputs, inputs) as a function of z (points,), a sum over them."""
+    """The model's poles, and a function of z (points,) to its response (points, outputs, inputs)."""
     shape = model.d.shape
     poles, vectors = np.linalg.eig(model.a)
     poles = np.asarray(poles, dtype=np.complex128)
-    if np.linalg.cond(vectors) < DISTINCT:
+    if np.linalg.cond(vectors) < LARGEST_CONDITION:
         left = np.linalg.solve(vectors, model.b.astype(np.complex128))
         residues = ((model.c @ vectors).T[:, :, None] * left[:, None, :]).reshape(model.order, -1)
         return poles, lambda z: (1 / (z[:, None] - poles) @ residues).reshape(len(z), *shape) + model.d
@@ -199,5 +194,5 @@ def _evaluator(
 
 def _oscillations(z: NDArray[np.complex128], sample_period: float) -> list[tuple[float, float]]:
     """(frequency [rad/s], damping ratio) of the complex ones among poles in the z plane, slowest first."""
-    z = z[(np.abs(z.imag) > 1e-12 * np.abs(z)) & (np.abs(z) > GONE)]
+    z = z[(np.abs(z.imag) > 1e-12 * np.abs(z)) & (np.abs(z) > NEGLIGIBLE_POLE)]
     return pole_table(np.asarray(np.log(z) / sample_period, dtype=np.complex128))

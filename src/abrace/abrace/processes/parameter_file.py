@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from abrace_core.config_file import yaml_number
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 
@@ -42,8 +43,7 @@ def _written(name: str, value: Any) -> str:
         case int() if -(2**63) <= value < 2**63:
             return str(value)
         case float() if math.isfinite(value):
-            mantissa, exponent_mark, exponent = repr(float(value)).partition("e")
-            return (mantissa if "." in mantissa else mantissa + ".0") + exponent_mark + exponent
+            return yaml_number(value)
         case str():
             return _quoted(value)
         case list() | tuple() if value:

@@ -1,1 +1,1 @@
-"""Many sets of weights and an ensemble of ground motions to responses, forces and margins of each."""
+"""Choice of weights: takes models, ranges of weights and ground motions, gives responses and margins of each set."""

@@ -1,4 +1,4 @@
-"""The ground motions of an ensemble: of recorded tests, and banded noise (the earthquakes and tests of the paper)."""
+"""Ground motions for an exploration: those of recorded tests, and banded noise."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Record:
-    """A ground motion of the ensemble.
+    """A ground motion.
 
     Parameters
     ----------
     name
-        Where it comes from.
+        Its bag, or the seed of its noise.
     ground_acceleration
         (samples,) [m/s^2].
     """
@@ -32,7 +32,7 @@ class Record:
     ground_acceleration: NDArray[np.float64]
 
     def scaled(self, peak_acceleration: float) -> Record:
-        """The record with its peak at `peak_acceleration` [m/s^2]."""
+        """The record scaled to a peak of `peak_acceleration` [m/s^2]; a record of zeros is refused."""
         peak = np.abs(self.ground_acceleration).max(initial=0.0)
         if not peak > 0:
             raise AbraceError(f"{self.name}: the ground does not move, expected a record of a test on the table")
@@ -47,7 +47,7 @@ def recorded_motion(run: Run, sample_period: float) -> Record:
     run
         The test.
     sample_period
-        Of the controllers [s]; the test's has to be the same.
+        Of the controllers [s]; the test must have the same.
     """
     if abs(run.sample_period - sample_period) > 1e-9 * sample_period:
         raise AbraceError(
@@ -61,10 +61,12 @@ def noise_motion(seed: int, seconds: float, band: tuple[float, float], sample_pe
 
     Parameters
     ----------
-    seed, band
-        As in `banded_noise`: the band in Hz.
+    seed
+        Of the noise.
     seconds
-        Its length.
+        Length [s].
+    band
+        Lowest and highest frequency [Hz].
     sample_period
         [s].
     """

@@ -1,4 +1,4 @@
-"""What an exploration found: response against force, coloured by margins (the trade-off behind Table 1's one point)."""
+"""Figure of an exploration: response against force, coloured by margins (the trade-off behind Table 1's one point)."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from abrace_lqg.exploration.report import pareto_front
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from abrace_lqg.exploration.search import Outcome
+    from abrace_lqg.exploration.study import Outcome
 
 MARGINS = (("gain", 1.0, "gain margin (dB)"), ("phase", 1.0, "phase margin (deg)"), ("delay", 1e3, "delay margin (ms)"))
 """Margin, factor from SI units, label."""
 
-SHOWN = 0.95
-"""Quantile of a margin at which the colours end: a few controllers that do hardly anything have large ones."""
+COLOUR_QUANTILE = 0.95
+"""Quantile of a margin at which the colour scale ends: a few controllers with hardly any command have large margins."""
 
 
 def trade_off(outcomes: Sequence[Outcome], picked: Sequence[int] = ()) -> Figure:
     """Rms of displacements and accelerations over those with zero command, against the command's rms.
 
-    The front, the sets that none other beats in both, is drawn, and the given weights and some sets are marked.
+    The Pareto front is drawn as a line; the given weights and the `picked` sets are marked.
 
     Parameters
     ----------
     outcomes
-        Of all sets, with set 0, the given weights.
+        Of all sets; set 0 is the given weights.
     picked
         Numbers of sets to mark.
     """
@@ -47,7 +47,7 @@ def trade_off(outcomes: Sequence[Outcome], picked: Sequence[int] = ()) -> Figure
         for axis, (margin, factor, label) in zip(axes[row], MARGINS, strict=True):
             values = factor * np.array([getattr(outcome.margins, margin) for outcome in found])
             finite = values[np.isfinite(values)]
-            highest = float(np.quantile(finite, SHOWN)) if len(finite) else 1.0
+            highest = float(np.quantile(finite, COLOUR_QUANTILE)) if len(finite) else 1.0
             axis.plot(force[front], response[front], color=MEASURED, linewidth=1, label="front")
             points = axis.scatter(force, response, 14, np.minimum(values, highest), cmap="viridis", zorder=2)
             for outcome, x, y in zip(found, force, response, strict=True):

@@ -1,6 +1,6 @@
-"""An exploration as files: all of it (JSON), a table of it (CSV), the models; and a set of it as weights file.
+"""Files of an exploration: all results (JSON), a table (CSV) and the models; and one set as weights and controller.
 
-The folder stands alone: a set is designed anew from the models in it, whatever has become of the files since.
+The folder is complete: a set is designed again from the models in it, not from the files that they were read from.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,14 +15,14 @@ from typing import TYPE_CHECKING, Any
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import save_model
-from abrace_lqg.proof.files import design_to_file
-from abrace_lqg.weights import Weights
+from abrace_lqg.proof.files import design_to_file, finite_or_null
+from abrace_lqg.weights import Weights, save_weights
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from abrace_core.linear_model import LinearModel
-    from abrace_lqg.exploration.search import Outcome, Study
+    from abrace_lqg.exploration.study import Outcome, Study
     from abrace_lqg.proof.checks import Proof
 
 FILE_FORMAT = "abrace exploration 1"
@@ -41,15 +40,15 @@ def save_exploration(
     Parameters
     ----------
     folder
-        Made if need be.
+        Created if it does not exist.
     study
-        What the sets were tried with.
+        Models, records and limits of the sets.
     outcomes
         Of all sets.
     simulation_model
-        As it was given, continuous.
+        Continuous, as it was read.
     made_from
-        Further facts, any JSON values: files, spans, seed.
+        Where the sets come from, any JSON values: files, spans, seed.
     """
     folder = Path(folder)
     save_model(study.model, folder / "model.json")
@@ -71,19 +70,19 @@ def save_exploration(
 
 
 def load_set(folder: Path | str, number: int) -> tuple[Weights, float, list[float]]:
-    """A set of an exploration: its weights, and the controllers' sample period [s] and force limits [N].
+    """Weights of one set of an exploration, and the controllers' sample period [s] and force limits [N].
 
     Parameters
     ----------
     folder
-        That the exploration was written to.
+        Of the exploration.
     number
         Of the set.
 
     Raises
     ------
     AbraceError
-        If there is no exploration in the folder, no such set in it, or no controller with it.
+        If the folder has no exploration, the exploration has no such set, or the set gives no controller.
     """
     path = Path(folder) / "exploration.json"
     try:
@@ -103,73 +102,40 @@ def load_set(folder: Path | str, number: int) -> tuple[Weights, float, list[floa
 
 
 def write_set(folder: Path | str, number: int) -> tuple[Proof, list[Path]]:
-    """Make a controller of a set of an exploration, as `design` makes one, proven with the simulation model too.
+    """Write the controller of one set of an exploration, designed as `design` does, with the simulation model to check.
 
     Parameters
     ----------
     folder
-        That the exploration was written to; written to it are `set_NUMBER_weights.yaml`, the controller file
-        `set_NUMBER.yaml`, and the proof's files.
+        Of the exploration; written to it are `set_NUMBER_weights.yaml`, the controller file `set_NUMBER.yaml`, and the
+        proof's files.
     number
         Of the set.
 
     Returns
     -------
     proof, files
-        What was proven and what was written.
+        The proof, and the paths of the written files.
 
     Raises
     ------
     AbraceError
-        If there is an objection to the controller; then only the weights are written.
+        If the design is refused; then only the weights are written.
     """
     folder = Path(folder)
     weights, sample_period, force_limit = load_set(folder, number)
     weights_file, controller_file = folder / f"set_{number}_weights.yaml", folder / f"set_{number}.yaml"
     save_weights(weights, weights_file, f"Set {number} of the exploration in {folder}.")
     models = [str(folder / "model.json"), str(folder / "simulation_model.json")]
-    proof, _, written = design_to_file(models, weights, weights_file.name, sample_period, force_limit, controller_file)
+    proof, _, written = design_to_file(
+        models,
+        controller_file,
+        weights=weights,
+        weights_name=weights_file.name,
+        sample_period=sample_period,
+        force_limit=force_limit,
+    )
     return proof, [weights_file, *written]
-
-
-def save_weights(weights: Weights, path: Path | str, origin: str) -> None:
-    """Write a weights file, as `load_weights` reads it.
-
-    Parameters
-    ----------
-    weights
-        In SI units.
-    origin
-        Where they come from, one line.
-    """
-    kinds = weights.weights.model_dump()
-    units = {
-        "displacement": "1/m^2",
-        "stroke": "1/m^2",
-        "acceleration": "s^4/m^2",
-        "force": "1/N^2",
-        "command": "1/N^2",
-    }
-    lines = [
-        f"# {' '.join(origin.split())}",
-        f"measured: [{', '.join(weights.measured)}]",
-        "",
-        "weights:",
-        *(f"  {name}: {_number(value)}  # {units[name]}" for name, value in kinds.items()),
-        "",
-        f"noise_to_excitation: {_number(weights.noise_to_excitation)}",
-    ]
-    write_text(path, "\n".join(lines) + "\n")
-
-
-def _number(value: float) -> str:
-    """The shortest text that YAML reads back as the same number: with a point before an exponent.
-
-    >>> _number(28122000000.0), _number(1e22), _number(0.0)
-    ('28122000000.0', '1.0e+22', '0.0')
-    """
-    mantissa, e, exponent = repr(float(value)).partition("e")
-    return (mantissa if "." in mantissa else f"{mantissa}.0") + e + exponent
 
 
 def _rows(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -179,17 +145,14 @@ def _rows(table: Mapping[str, Any]) -> dict[str, Any]:
 def _as_json(outcome: Outcome) -> dict[str, Any]:
     values = asdict(outcome) | {"weights": outcome.weights.model_dump()}
     if outcome.margins is not None and outcome.relative is not None and outcome.command is not None:
-        # a margin that no change uses up is infinite, which JSON cannot say
-        values["margins"] = {
-            name: value if math.isfinite(value) else None for name, value in asdict(outcome.margins).items()
-        }
+        values["margins"] = finite_or_null(values["margins"])
         values |= {"relative": _rows(outcome.relative), "command": outcome.command._asdict()}
         values["records"] = [_rows(table) for table in outcome.records]
     return values
 
 
 def _table(outcomes: Sequence[Outcome]) -> str:
-    """A row for each set; the columns' units are in their names, or SI."""
+    """CSV with a row for each set; units are named in the columns' names or SI."""
     rows: list[dict[str, object]] = []
     for outcome in outcomes:
         row: dict[str, object] = {"set": outcome.number, **outcome.weights.weights.model_dump()}

@@ -1,4 +1,4 @@
-"""What an exploration found, in words: which sets are worth a look, and why some gave no controller."""
+"""Text report of an exploration: the Pareto-optimal sets, and the reasons why others gave no controller."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from abrace_lqg.exploration.search import Outcome
+    from abrace_lqg.exploration.study import Outcome
 
-ROWS = 12
-"""Sets of the front that are listed, spread evenly over it."""
+LISTED_SETS = 12
+"""Sets of the Pareto front that are listed, spread evenly over it."""
 
-REASONS = 3
+LISTED_REASONS = 3
+"""Most frequent reasons that are listed."""
 
 
 def pareto_front(force: NDArray[np.float64], response: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Indices of the points that no other one beats in both, by increasing force.
+    """Indices of the Pareto-optimal points, by increasing force: no other point has both less force and less response.
 
     Parameters
     ----------
     force, response
-        (points,) what is wanted small.
+        (points,).
 
     >>> pareto_front(np.array([1.0, 2.0, 3.0, 4.0]), np.array([0.9, 0.5, 0.6, 0.4])).tolist()
     [0, 1, 3]
@@ -37,7 +38,7 @@ def pareto_front(force: NDArray[np.float64], response: NDArray[np.float64]) -> N
 
 
 def report(outcomes: Sequence[Outcome]) -> list[str]:
-    """Lines that tell of the given weights, of some sets on the front, and of those that gave no controller.
+    """Lines with some sets of the Pareto front, the given weights, and the reasons of sets without a controller.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def report(outcomes: Sequence[Outcome]) -> list[str]:
         force = np.array([outcome.command.rms if outcome.command else np.nan for outcome in found])
         response = np.array([outcome.response("acceleration") for outcome in found])
         front = pareto_front(force, response)
-        chosen = front[np.unique(np.linspace(0, len(front) - 1, ROWS).round().astype(int))]
+        chosen = front[np.unique(np.linspace(0, len(front) - 1, LISTED_SETS).round().astype(int))]
         lines += [
             "response: rms over that with zero command; margins with the simulation model",
             "  set  command rms, peak (N)  saturated  displacement  acceleration  gain dB  phase deg  delay ms",
@@ -61,9 +62,9 @@ def report(outcomes: Sequence[Outcome]) -> list[str]:
     refused = Counter(outcome.refused for outcome in outcomes if outcome.refused)
     if refused:
         lines.append(f"{refused.total()} of {len(outcomes)} sets gave no controller:")
-        lines += [f"  {count} x {reason}" for reason, count in refused.most_common(REASONS)]
-        if len(refused) > REASONS:
-            lines.append(f"  and {len(refused) - REASONS} further reasons, in exploration.csv")
+        lines += [f"  {count} x {reason}" for reason, count in refused.most_common(LISTED_REASONS)]
+        if len(refused) > LISTED_REASONS:
+            lines.append(f"  and {len(refused) - LISTED_REASONS} further reasons, in exploration.csv")
     return lines
 
 

@@ -1,1 +1,1 @@
-"""The nodes: parameters, topics, callbacks and `main`, one module for each executable."""
+"""Executables: take parameters and topics, give controller files and brace commands; one module for each."""

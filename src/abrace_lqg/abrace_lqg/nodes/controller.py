@@ -18,28 +18,30 @@ from abrace_core.signals import command_names, response_names
 from abrace_lqg.active_controller import ActiveController
 
 PARAMETERS = [
-    Parameter("name", "", "what the controller is called", required=True),
-    Parameter("model", "", "what it was designed from"),
-    Parameter("weights", "", "what was asked for"),
-    Parameter("margins", "", "stability margins that were predicted"),
+    Parameter("name", "", "of the controller", required=True),
+    Parameter("model", "", "model that it was designed with"),
+    Parameter("weights", "", "weights that it was designed with"),
+    Parameter("margins", "", "predicted stability margins"),
     Parameter("sample_period", 0.002, "s, of the law and the rig", minimum=1e-6),
-    Parameter("measured", [], "names of the quantities that it takes", element=str, required=True),
-    Parameter("commands", [], "names of the commands that it gives", element=str, required=True),
+    Parameter("measured", [], "names of the measured quantities, the law's inputs", element=str, required=True),
+    Parameter("commands", [], "names of the commands, the law's outputs", element=str, required=True),
     Parameter("states", 1, "number of states", minimum=1),
     Parameter("force_limit", [], "N, of one brace of each group", element=float, minimum=1.0, required=True),
     Parameter("a_d", [], "A_d of Eq. (13), row by row", element=float, required=True),
     Parameter("b_d", [], "B_d of Eq. (13), row by row", element=float, required=True),
     Parameter("c_d", [], "C_d of Eq. (13), row by row", element=float, required=True),
     Parameter("d_d", [], "D_d of Eq. (13), row by row", element=float, required=True),
-    Parameter("g_d", [], "G_d: states from newtons that acted but were not the law's", element=float, required=True),
     Parameter(
-        "p_d", [], "P_d: measured values that the states and the command lead to expect", element=float, required=True
+        "g_d", [], "G_d: state correction per newton of applied minus law's command", element=float, required=True
     ),
-    Parameter("ramp_time", 0.5, "s, within which the force comes in, or changes to the next controller's", minimum=0.0),
+    Parameter(
+        "p_d", [], "P_d: prediction of measured values from states and applied command", element=float, required=True
+    ),
+    Parameter("ramp_time", 0.5, "s, of the fade-in of the force, and of a change to the next controller", minimum=0.0),
     Parameter(
         "max_lost", LONGEST_GAP, "lost samples in a row that are bridged; more are a fault", minimum=0, maximum=50
     ),
-    Parameter("next", "", "controller file that takes over from the one in use, without a jump in force", live=True),
+    Parameter("next", "", "controller file to change over to without a jump in force", live=True),
 ]
 
 
@@ -50,44 +52,45 @@ class Controller(BraceCommander):
         super().__init__("controller", PARAMETERS)
 
     def configure(self) -> None:
-        """Check the controller; `next`, where it is given, is the one."""
+        """Check the controller of the parameters, or that of the file `next` where one is given."""
         given = self.parameters
         parameters = {key: getattr(given, key) for key in ControllerParameters.model_fields}
         controller = controller_from_parameters(parameters, "controller parameters")
         if given.next:
             controller = load_controller(given.next)
-        self.law = ActiveController(controller, given.ramp_time)
+        self.active_controller = ActiveController(controller, given.ramp_time)
         self.open_loop(controller.law.sample_period, controller.force_limit.tolist(), given.max_lost)
 
     def parameter_changed(self, name: str, value: Any) -> None:
-        """Another controller takes over."""
+        """Change over to the controller of the file `next`."""
         if not self.active:
             raise AbraceError(f"parameter {name}: {value}: the node is not active, expected a controller in use")
         if not value:
             raise AbraceError(f"parameter {name}: empty, expected a controller file")
-        self.law.change(load_controller(value))
+        self.active_controller.change_to(load_controller(value))
 
     def restart(self, sequence: int, floors: int, groups: int) -> None:
-        """Begin anew with this sample."""
+        """Reset the estimate; the force fades in from this sample on."""
         try:
-            self.law.begin(response_names(floors, groups), command_names(groups), self.guard.force)
+            self.active_controller.reset(response_names(floors, groups), command_names(groups), self.guard.force)
         except AbraceError as error:
             self.guard.fault(str(error))
 
     def force(self, sequence: int, z: tuple[float, ...], lost: int) -> np.ndarray:
-        """The law's answer."""
-        return self.law.force(z, lost)
+        """The law's command, faded where it comes in."""
+        return self.active_controller.force(z, lost)
 
     def acted(self, force: list[float]) -> None:
-        """What the limits have left of it."""
-        self.law.acted(force)
+        """Advance the estimate with the limited force."""
+        self.active_controller.advance(force)
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """State for `diagnostics`, with the innovation of each measured quantity."""
         fault, message, values = super().diagnose()
         if self.configured:
-            values.update(controller=self.law.controller.name, controller_state=self.law.state)
-            values.update((f"innovation_rms {name}", f"{rms:.6g}") for name, rms in self.law.innovation_rms().items())
+            used = self.active_controller
+            values.update(controller=used.controller.name, controller_state=used.state)
+            values.update((f"innovation_rms {name}", f"{rms:.6g}") for name, rms in used.innovation_rms().items())
         return fault, message, values
 
 

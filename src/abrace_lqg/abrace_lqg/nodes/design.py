@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceNode, Parameter, find_file, run
-from abrace_lqg.margins.prediction import Excitation
+from abrace_lqg.analysis.prediction import Excitation
 from abrace_lqg.proof.checks import OBJECTIONS
 from abrace_lqg.proof.files import design_to_file
-from abrace_lqg.proof.table import lines
+from abrace_lqg.proof.table import table_lines
 from abrace_lqg.weights import load_weights
 
 PARAMETERS = [
     Parameter("model", "", "model file (JSON) to design with", required=True),
-    Parameter("check_models", [], "further model files, the rig's too if there is one, to prove it with", element=str),
+    Parameter(
+        "check_models", [], "further model files to check the closed loop with, such as the rig's own", element=str
+    ),
     Parameter("weights", "lqg3", "weights: a name in the package's configuration or a file", required=True),
     Parameter("sample_period", 0.002, "s, of the controller", minimum=1e-6),
     Parameter("force_limit", [24516.625], "N, of one brace of each group", minimum=1.0),
     Parameter("accept", [], "objections in spite of which the controller is written", choices=OBJECTIONS, element=str),
-    Parameter("excitation_rms", 0.25, "m/s^2, of the ground acceleration for which rms is predicted", minimum=1e-9),
-    Parameter("excitation_band", [0.3, 10.0], "Hz, lowest and highest frequency of that excitation", minimum=0.0),
-    Parameter("output", "", "controller file (YAML) to write; the proof's files are written beside it", required=True),
+    Parameter(
+        "excitation_rms", 0.25, "m/s^2, rms of the ground acceleration for the predicted responses", minimum=1e-9
+    ),
+    Parameter("excitation_band", [0.3, 10.0], "Hz, lowest and highest frequency of this excitation", minimum=0.0),
+    Parameter("output", "", "controller file (YAML) to write; the proof's files go to its folder", required=True),
 ]
 
 
@@ -36,20 +40,18 @@ class Design(AbraceNode):
             raise AbraceError(f"parameter output: {given.output}, expected a file name that ends in .yaml")
         if len(given.excitation_band) != 2:
             raise AbraceError(f"parameter excitation_band: {given.excitation_band}, expected two frequencies")
-        excitation = Excitation(given.excitation_rms, tuple(given.excitation_band))
         weights_file = find_file(given.weights, "abrace_lqg", "config", ".yaml", "weights")
-        weights = load_weights(weights_file)
         proof, controller, written = design_to_file(
             [given.model, *given.check_models],
-            weights,
-            weights_file.name,
-            given.sample_period,
-            given.force_limit,
             given.output,
-            excitation,
-            given.accept,
+            weights=load_weights(weights_file),
+            weights_name=weights_file.name,
+            sample_period=given.sample_period,
+            force_limit=given.force_limit,
+            excitation=Excitation(given.excitation_rms, tuple(given.excitation_band)),
+            accept=given.accept,
         )
-        print("\n".join(lines(proof)))
+        print("\n".join(table_lines(proof)))
         print(controller.margins)
         print(f"wrote {', '.join(map(str, written))}")
 

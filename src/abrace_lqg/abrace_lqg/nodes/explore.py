@@ -1,4 +1,4 @@
-"""The node `explore`: many sets of weights tried on an ensemble of records, and any of them as a controller."""
+"""The node `explore`: many sets of weights tried on several ground motions, and any of them written as a controller."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import load_model
 from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_core.progress import Progress
-from abrace_lqg.exploration.cluster import cluster
+from abrace_lqg.exploration.cluster import cluster, explore
 from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motion
 from abrace_lqg.exploration.figure import trade_off
 from abrace_lqg.exploration.files import save_exploration, write_set
 from abrace_lqg.exploration.report import report
-from abrace_lqg.exploration.search import Study, explore, weight_sets
+from abrace_lqg.exploration.study import Study
+from abrace_lqg.exploration.weight_sets import weight_sets
 from abrace_lqg.weights import load_weights
 
 SPANS = ("displacement", "stroke", "acceleration", "force", "noise_to_excitation")
@@ -27,21 +28,21 @@ FACTORS = "lowest and highest power of ten that this weight is multiplied by"
 
 PARAMETERS = [
     Parameter("model", "", "model file (JSON) to design with"),
-    Parameter("simulation_model", "", "model file (JSON) to simulate and to take margins with"),
-    Parameter("weights", "lqg3", "weights around which to look: a name in the package's configuration or a file"),
+    Parameter("simulation_model", "", "model file (JSON) for simulation and margins"),
+    Parameter("weights", "lqg3", "weights to vary: a name in the package's configuration or a file"),
     Parameter("measured", [], "names of the measured quantities; []: as in the weights", element=str),
     Parameter("displacement", [-2.0, 1.0], FACTORS, minimum=-12.0, maximum=12.0),
     Parameter("stroke", [0.0, 0.0], FACTORS, minimum=-12.0, maximum=12.0),
     Parameter("acceleration", [-2.0, 1.0], FACTORS, minimum=-12.0, maximum=12.0),
     Parameter("force", [0.0, 0.0], FACTORS, minimum=-12.0, maximum=12.0),
     Parameter("noise_to_excitation", [-1.0, 1.0], FACTORS, minimum=-12.0, maximum=12.0),
-    Parameter("sets", 256, "how many sets are tried beside the given weights", minimum=1),
+    Parameter("sets", 256, "number of sets that are tried in addition to the given weights", minimum=1),
     Parameter("seed", 0, "of the quasi-random sets", minimum=0),
-    Parameter("bags", [], "bags of tests whose ground motion is played", element=str),
-    Parameter("noise", [], "seeds of banded noise that is played, a record for each", element=int, minimum=0),
+    Parameter("bags", [], "bags of tests whose ground motion is simulated", element=str),
+    Parameter("noise", [], "seeds of banded noise, a record for each", element=int, minimum=0),
     Parameter("noise_band", [0.1, 10.0], "Hz, lowest and highest frequency of the noise", minimum=0.0),
     Parameter("noise_duration", 100.0, "s, of each noise", minimum=2.0),
-    Parameter("peak_acceleration", 0.980665, "m/s^2, that each record is scaled to", minimum=1e-6),
+    Parameter("peak_acceleration", 0.980665, "m/s^2, to which each record is scaled", minimum=1e-6),
     Parameter("sample_period", 0.002, "s, of the controllers", minimum=1e-6),
     Parameter("force_limit", [24516.625], "N, of one brace of each group", minimum=1.0),
     Parameter("scheduler", "", "address of a Dask scheduler; empty: a cluster of this machine's cores"),
@@ -63,7 +64,7 @@ class Explore(AbraceNode):
         super().__init__("explore", PARAMETERS)
 
     def work(self) -> None:
-        """Explore, or pick."""
+        """Explore, or write the picked sets."""
         if not self.parameters.pick:
             self.explore()
             return
@@ -73,7 +74,7 @@ class Explore(AbraceNode):
             print(f"wrote {', '.join(map(str, files))}")
 
     def explore(self) -> None:
-        """Read, try all sets, write, draw."""
+        """Try all sets and write the results."""
         given = self.parameters
         for name in ("model", "simulation_model"):
             if not getattr(given, name):
@@ -86,7 +87,8 @@ class Explore(AbraceNode):
         sets = weight_sets(weights, spans, given.sets, given.seed)
         model, simulation_model = load_model(given.model), load_model(given.simulation_model)
         records = [record.scaled(given.peak_acceleration) for record in self.records()]
-        study = Study.of(model, simulation_model, records, np.array(given.force_limit), given.sample_period)
+        capacity = np.array(given.force_limit)
+        study = Study.of(model, simulation_model, records, capacity=capacity, sample_period=given.sample_period)
         print(
             f"{len(sets)} sets of weights, {len(records)} records: {len(sets) * len(records)} closed loops", flush=True
         )
@@ -111,7 +113,7 @@ class Explore(AbraceNode):
         print(f"wrote {output} ({time.monotonic() - begin:.1f} s)")
 
     def records(self) -> list[Record]:
-        """The ensemble, as it was recorded."""
+        """The ground motions, not yet scaled."""
         given = self.parameters
         band = _pair("noise_band", given.noise_band)
         found = []

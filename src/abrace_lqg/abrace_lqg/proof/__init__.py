@@ -1,1 +1,1 @@
-"""A designed controller and models of the structure to the proof of it: numbers, table, figures, files."""
+"""Proof of a design: takes a controller and models of the structure, gives checks, a table, figures and files."""

@@ -1,26 +1,24 @@
-"""Proof before use: what a designed controller will do with each model that there is of the structure.
+"""Proof before use: the predicted behaviour of a designed controller with every available model of the structure.
 
-The controller was designed with one model and will meet a structure that is none of them. So all that can be told
-before the first test is told for every model: poles, margins, the rms that an excitation leads to, what becomes of
-modes that the design did not know, and what lost samples do. A design that fails is refused, unless it is asked for by
-name.
+The controller is designed with one model, and the structure differs from every model. So the closed loop with each is
+analysed before the first test: poles, margins, rms of responses and commands, damping of unmodelled modes, and the
+effect of lost samples. A design with an objection is refused unless that objection is accepted by name.
 """
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from abrace_core.errors import AbraceError
+from abrace_lqg.analysis.disk_margin import DiskMargin, disk_margin
+from abrace_lqg.analysis.lost_samples import LostSamples, lost_samples
+from abrace_lqg.analysis.margins import Margins, margins_at
+from abrace_lqg.analysis.mode_damping import ModeEffect, mode_effects
+from abrace_lqg.analysis.prediction import Excitation, rms_without_and_with_control
 from abrace_lqg.loop import closed_loop_poles, is_stable
-from abrace_lqg.margins.disk_margin import DiskMargin, disk_margin
-from abrace_lqg.margins.loop_margins import Margins, margins_at
-from abrace_lqg.margins.lost_samples import LostSamples, lost_samples
-from abrace_lqg.margins.mode_damping import ModeEffect, mode_effects
-from abrace_lqg.margins.prediction import Excitation, controlled_and_not
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -28,41 +26,41 @@ if TYPE_CHECKING:
     from abrace_core.linear_model import LinearModel
     from abrace_lqg.design import ControllerDesign
 
-FILE_FORMAT = "abrace proof 1"
 UNSTABLE, SHORT_DELAY = "unstable_with_check_model", "short_delay_margin"
 OBJECTIONS = (UNSTABLE, SHORT_DELAY)
-"""What a design is refused for, by the names by which it can be accepted all the same."""
+"""Names of the reasons for which a design is refused; each can be accepted by name."""
 
 SHORTEST_DELAY_MARGIN = 0.004
 """Least delay margin at the plant's input [s]: two samples at 500 Hz."""
 
 LOST_IN_A_ROW = (1, 2)
+"""Numbers of consecutive lost samples whose effect is computed."""
 
 
 @dataclass(frozen=True)
 class ModelProof:
-    """What a controller does with one model.
+    """Predictions for a controller with one model.
 
     Parameters
     ----------
     name
         Of the model.
     order
-        Its states.
+        Number of its states.
     stable
-        Whether the loop is; if not, there are neither margins nor predictions.
+        Whether the closed loop is stable; if not, margins, prediction and lost are empty.
     poles
         (frequency [rad/s], damping ratio) of the loop's oscillating poles, slowest first.
     margins
         By the signal at which the loop is broken, the others closed: commands, then measured quantities.
     disk
-        Margin of all of these at once.
+        Margin for simultaneous changes of all of these signals.
     prediction
         Rms with zero command and controlled [SI units], by quantity.
     modes
-        What becomes of the model's own pole pairs.
+        The model's own pole pairs without and with control.
     lost
-        What one and two lost samples do.
+        The effect of one and of two lost samples.
     """
 
     name: str
@@ -78,18 +76,18 @@ class ModelProof:
 
 @dataclass(frozen=True)
 class Proof:
-    """What a controller does with all models.
+    """Predictions for a controller with all models.
 
     Parameters
     ----------
     models
-        The one that it was designed with, then the others.
+        The design model's first, then the check models'.
     commands
-        Names of its commands: the plant's inputs.
+        Names of the commands: the plant's inputs.
     excitation
         For which rms values are predicted.
     accepted
-        Objections that were accepted by name.
+        Names of the objections that were accepted.
     """
 
     models: tuple[ModelProof, ...]
@@ -103,12 +101,12 @@ class Proof:
         return Margins.least([each.margins[name] for each in self.models if each.stable for name in self.commands])
 
     @property
-    def kept(self) -> float:
-        """Least share of its damping that any pole pair of any model keeps; infinite if none oscillates."""
-        return min((mode.kept for each in self.models for mode in each.modes), default=np.inf)
+    def least_damping_kept(self) -> float:
+        """Least `ModeEffect.damping_kept` of all pole pairs of all models; infinite if there is none."""
+        return min((mode.damping_kept for each in self.models for mode in each.modes), default=np.inf)
 
     def objections(self) -> dict[str, str]:
-        """What speaks against use, out of OBJECTIONS, and why."""
+        """The reasons against use, by their names in OBJECTIONS."""
         found = {}
         unstable = [f"{each.name} ({each.order} states)" for each in self.models if not each.stable]
         if unstable:
@@ -122,48 +120,36 @@ class Proof:
         """One line for the controller file."""
         models = sum(each.stable for each in self.models)
         text = f"{self.margins}" + (f", the least of {models} models" if models > 1 else "")
-        kept = f"; damping kept by every mode: {self.kept:.0%} or more" if np.isfinite(self.kept) else ""
+        least = self.least_damping_kept
+        kept = f"; damping kept by every mode: {least:.0%} or more" if np.isfinite(least) else ""
         reasons = self.objections()
         accepted = "".join(f"; accepted by name: {name}, {reasons[name]}" for name in self.accepted)
         return text + kept + accepted
 
-    def to_json(self) -> str:
-        """All numbers, SI units; what is infinite is null."""
-        content = {
-            "format": FILE_FORMAT,
-            "summary": self.summary(),
-            "accepted": self.accepted,
-            "excitation": asdict(self.excitation),
-            "margins": asdict(self.margins),
-            "least_damping_kept": self.kept,
-            "models": [_content(each) for each in self.models],
-        }
-        return json.dumps(_finite(content), indent=1, allow_nan=False) + "\n"
-
 
 def prove(designed: ControllerDesign, models: Mapping[str, LinearModel], excitation: Excitation | None = None) -> Proof:
-    """Work out what a designed controller does with each model.
+    """Analyse the closed loop of a designed controller with each model.
 
     Parameters
     ----------
     designed
         The design.
     models
-        By name: first the model that it was designed with, then others.
+        By name: first the model that it was designed with, then the check models.
     excitation
-        For which rms values are predicted; banded noise of 0.25 m/s^2 if not given.
+        For which rms values are predicted; None: `Excitation()`.
 
     Raises
     ------
     AbraceError
-        If a model does not have the controller's signals, or the loop with the first one is not stable.
+        If a model lacks a signal of the controller, or the loop with the first model is not stable.
     """
     excitation = excitation or Excitation()
-    own = next(iter(models.values()))
+    design_model = next(iter(models.values()))
     proofs = []
     for name, model in models.items():
         try:
-            proofs.append(_prove_with(name, model, own, designed, excitation))
+            proofs.append(_prove_with(name, model, design_model, designed, excitation))
         except AbraceError as error:
             raise AbraceError(f"proof with model {name}: {error}") from error
     if not proofs[0].stable:
@@ -172,19 +158,19 @@ def prove(designed: ControllerDesign, models: Mapping[str, LinearModel], excitat
 
 
 def require(proof: Proof, accept: Collection[str] = ()) -> Proof:
-    """The proof, with what was accepted by name.
+    """Refuse the design if there is an objection that is not accepted; return the proof with the accepted ones.
 
     Parameters
     ----------
     proof
         Of the design.
     accept
-        Names out of OBJECTIONS for which it is not refused.
+        Names out of OBJECTIONS.
 
     Raises
     ------
     AbraceError
-        If there is another objection; says by which name it can be accepted.
+        With the first objection that is not accepted, and the name by which it can be.
     """
     found = proof.objections()
     for name, reason in found.items():
@@ -194,7 +180,7 @@ def require(proof: Proof, accept: Collection[str] = ()) -> Proof:
 
 
 def _prove_with(
-    name: str, model: LinearModel, own: LinearModel, designed: ControllerDesign, excitation: Excitation
+    name: str, model: LinearModel, design_model: LinearModel, designed: ControllerDesign, excitation: Excitation
 ) -> ModelProof:
     controller = designed.controller
     stable = is_stable(model, controller)
@@ -205,33 +191,11 @@ def _prove_with(
         poles=closed_loop_poles(model, controller),
         margins=margins_at(model, controller) if stable else {},
         disk=disk_margin(model, controller) if stable else None,
-        prediction=controlled_and_not(model, controller, excitation) if stable else {},
-        modes=mode_effects(model, controller, own),
-        lost=[lost_samples(model, controller, designed.correction, excitation, count) for count in LOST_IN_A_ROW]
-        if stable
-        else [],
+        prediction=rms_without_and_with_control(model, controller, excitation) if stable else {},
+        modes=mode_effects(model, controller, design_model),
+        lost=[
+            lost_samples(model, controller, designed.correction, excitation=excitation, in_a_row=count)
+            for count in LOST_IN_A_ROW
+            if stable
+        ],
     )
-
-
-def _content(proof: ModelProof) -> dict[str, Any]:
-    """A model's proof as JSON values, with what is derived."""
-    content = asdict(proof)
-    content["poles"] = [{"frequency": frequency, "damping": damping} for frequency, damping in proof.poles]
-    if proof.disk is not None:
-        content["disk"] |= {"gain": proof.disk.gain, "phase": proof.disk.phase}
-    content["prediction"] = {
-        name: {"zero_command": without, "controlled": controlled}
-        for name, (without, controlled) in proof.prediction.items()
-    }
-    for mode, entry in zip(proof.modes, content["modes"], strict=True):
-        entry["kept"] = mode.kept
-    return content
-
-
-def _finite(value: Any) -> Any:
-    """The same with None for numbers that JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

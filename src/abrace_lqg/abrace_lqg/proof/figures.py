@@ -1,4 +1,4 @@
-"""The proof of a controller drawn: the loop with its margins, its poles, and what the excitation leads to.
+"""Figures of a controller's proof: the loop with its margins, the poles, and the predicted rms.
 
 Each function returns a matplotlib Figure; `abrace_core.drawing` has the colours and saves it.
 """
@@ -24,24 +24,24 @@ if TYPE_CHECKING:
     from abrace_lqg.proof.checks import ModelProof, Proof
 
 LOWEST_SHOWN = 0.1
-"""Where the frequency axes begin [Hz]; they end at half the sampling rate."""
+"""Lower end of the frequency axes [Hz]; the upper end is half the sampling rate."""
 
 KINDS = (("x", "displacement, stroke"), ("a", "acceleration"), ("fU", "force, command"))
-"""First letters of the quantities that share a unit, and what they are."""
+"""First letters of the quantities that share a unit, and the names of these quantities."""
 
-LINES = ("-", "--", ":", "-.")
-"""Of the signals, or of the models, one after the other."""
+LINE_STYLES = ("-", "--", ":", "-.")
+"""Of the signals, or of the models, in turn."""
 
 
 def loop_figure(proof: Proof, models: Mapping[str, LinearModel], controller: LinearModel) -> Figure:
-    """The loop at the plant's inputs as a Nichols chart and over frequency, and the sensitivity at every signal.
+    """Nichols chart and gain of the loop broken at each command, and the sensitivity at every signal.
 
     Parameters
     ----------
     proof
         Of the controller.
     models
-        By name, as `prove` was given them: the first, which it was designed with, in colour, the others grey.
+        By name, as they were given to `prove`: the design model in colour, the check models grey.
     controller
         Discrete.
     """
@@ -53,20 +53,21 @@ def loop_figure(proof: Proof, models: Mapping[str, LinearModel], controller: Lin
         omega = loop.frequencies()
         omega = omega[omega >= 2 * np.pi * LOWEST_SHOWN]
         for command in proof.commands:
-            response = loop.at(command, omega)
+            response = loop.transfer_function(command, omega)
             label = f"{command}, {name}" if len(proof.commands) > 1 else name
             style: dict[str, Any] = {"color": SIMULATED, "lw": 1.4}
             if number:
-                style = {"color": REFERENCE, "lw": 1.0, "ls": LINES[number % len(LINES)]}
+                style = {"color": REFERENCE, "lw": 1.0, "ls": LINE_STYLES[number % len(LINE_STYLES)]}
             decibels = 20 * np.log10(np.maximum(np.abs(response), 1e-10))
             # the critical point, -180 degrees, in the middle
-            nichols.plot(_broken(np.degrees(np.angle(-response)) - 180), decibels, label=label, **style)
+            nichols.plot(_with_gaps(np.degrees(np.angle(-response)) - 180), decibels, label=label, **style)
             gain.semilogx(omega / (2 * np.pi), decibels, **style)
         if number == 0:
-            size = 20 * np.log10(np.abs(1 - loop.complementary(omega)))
-            for place, signal in enumerate(loop.signals):
-                style = {"color": SIMULATED if signal in proof.commands else MEASURED, "ls": LINES[place % len(LINES)]}
-                sensitivity.semilogx(omega / (2 * np.pi), size[:, place], label=signal, lw=1.2, **style)
+            size = 20 * np.log10(np.abs(1 - loop.complementary_sensitivity(omega)))
+            for column, signal in enumerate(loop.signals):
+                colour = SIMULATED if signal in proof.commands else MEASURED
+                style = {"color": colour, "ls": LINE_STYLES[column % len(LINE_STYLES)]}
+                sensitivity.semilogx(omega / (2 * np.pi), size[:, column], label=signal, lw=1.2, **style)
     _critical_point(nichols, proof)
     low, high = gain.get_ylim()
     gain.set_ylim(max(low, -60), high)
@@ -81,9 +82,9 @@ def loop_figure(proof: Proof, models: Mapping[str, LinearModel], controller: Lin
 
 
 def pole_figure(proof: Proof) -> Figure:
-    """Frequency and damping ratio of every model's own pole pairs, where control takes them, and all of the loop.
+    """Frequency and damping ratio of every model's pole pairs without and with control, and of all closed-loop poles.
 
-    `proof` is the controller's. Pairs that the design model lacks are marked: the unmodelled local modes.
+    `proof` is the controller's. Pairs that the design model lacks, the unmodelled local modes, are marked.
     """
     columns = min(2, len(proof.models))
     rows = -(-len(proof.models) // columns)
@@ -101,8 +102,8 @@ def pole_figure(proof: Proof) -> Figure:
 def prediction_figure(proof: Proof) -> Figure:
     """Rms of every quantity, with zero command and controlled, in the paper's units.
 
-    `proof` is the controller's; of its models the first is drawn that the controller was not designed with, if there is
-    one with which the loop is stable.
+    `proof` is the controller's. Drawn is the first check model with which the loop is stable, or without one the design
+    model.
     """
     stable = [each for each in proof.models if each.stable]
     shown = stable[1] if len(stable) > 1 else stable[0]
@@ -116,16 +117,16 @@ def prediction_figure(proof: Proof) -> Figure:
     for axis, (names, kind) in zip(
         figure.subplots(1, len(groups), squeeze=False, width_ratios=widths)[0], groups, strict=True
     ):
-        place, factor = np.arange(len(names)), paper_unit(names[0])[0]
+        position, factor = np.arange(len(names)), paper_unit(names[0])[0]
         without, controlled = np.array([shown.prediction[name] for name in names]).T * factor
-        axis.bar(place - 0.2, without, 0.4, color=REFERENCE, label="zero command")
-        bars = axis.bar(place + 0.2, controlled, 0.4, color=SIMULATED, label="controlled")
+        axis.bar(position - 0.2, without, 0.4, color=REFERENCE, label="zero command")
+        bars = axis.bar(position + 0.2, controlled, 0.4, color=SIMULATED, label="controlled")
         changes = [
             f"{b / a - 1:+.0%}" if a and name[0] in "xa" else ""
             for name, a, b in zip(names, without, controlled, strict=True)
         ]
         axis.bar_label(bars, changes, fontsize=8, padding=2)
-        axis.set_xticks(place, names)
+        axis.set_xticks(position, names)
         axis.set_ylabel(f"{kind}, rms [{paper_unit(names[0])[1]}]")
         axis.grid(axis="y", alpha=0.3)
     figure.axes[0].legend(loc="upper left")
@@ -134,7 +135,7 @@ def prediction_figure(proof: Proof) -> Figure:
 
 
 def _critical_point(axis: Axes, proof: Proof) -> None:
-    """What a Nichols chart has besides its curves: the critical point, and the margins around it."""
+    """Draw the critical point and the margins into a Nichols chart, and label it."""
     margins = proof.margins
     gain = min(margins.gain, 40.0)
     style: dict[str, Any] = {"color": MEASURED, "lw": 2.5, "alpha": 0.6}
@@ -177,7 +178,7 @@ def _poles(axis: Axes, each: ModelProof) -> None:
     axis.grid(which="both", alpha=0.25)
 
 
-def _broken(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The angles with a gap where they jump from one side of the chart to the other."""
+def _with_gaps(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles (frequencies,) [degrees] with NaN where they jump by more than half a turn, so that no line is drawn."""
     jumps = np.abs(np.diff(angle, append=angle[-1:])) > 180
     return np.where(jumps, np.nan, angle)

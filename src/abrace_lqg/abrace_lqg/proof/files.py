@@ -1,9 +1,11 @@
-"""From model and weights files to a controller file: designed, proven, the proof's numbers and figures beside it."""
+"""From model files and weights to a controller file, with the proof's numbers and figures in files of their own."""
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,68 +17,53 @@ from abrace_core.linear_model import load_model
 from abrace_lqg.design import design
 from abrace_lqg.proof.checks import prove, require
 from abrace_lqg.proof.figures import loop_figure, pole_figure, prediction_figure
-from abrace_lqg.proof.table import lines
+from abrace_lqg.proof.table import table_lines
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from abrace_core.linear_model import LinearModel
-    from abrace_lqg.margins.prediction import Excitation
-    from abrace_lqg.proof.checks import Proof
+    from abrace_lqg.analysis.prediction import Excitation
+    from abrace_lqg.proof.checks import ModelProof, Proof
     from abrace_lqg.weights import Weights
 
-
-def load_models(paths: Sequence[str]) -> dict[str, LinearModel]:
-    """Read model files; each is called what its file is, or by its whole path where two files have the same name.
-
-    `paths` has each file once.
-
-    Raises
-    ------
-    AbraceError
-        If one is given twice or is no model file.
-    """
-    stems = [Path(path).stem for path in paths]
-    twice = [path for path in paths if list(paths).count(path) > 1]
-    if twice:
-        raise AbraceError(f"model file {twice[0]}: given twice, expected each model once")
-    names = [stem if stems.count(stem) == 1 else path for stem, path in zip(stems, paths, strict=True)]
-    return {name: load_model(path) for name, path in zip(names, paths, strict=True)}
+FILE_FORMAT = "abrace proof 1"
 
 
 def design_to_file(
     model_files: Sequence[str],
+    output: Path | str,
+    *,
     weights: Weights,
     weights_name: str,
     sample_period: float,
     force_limit: Sequence[float],
-    output: Path | str,
     excitation: Excitation | None = None,
     accept: Sequence[str] = (),
 ) -> tuple[Proof, Controller, list[Path]]:
-    """Design a controller, prove it, and write it with its proof; nothing is written if there is an objection.
+    """Design a controller, prove it, and write it with its proof; nothing is written if the design is refused.
 
     Parameters
     ----------
     model_files
-        The model to design with, then those to prove it with too.
+        The model to design with, then the check models.
+    output
+        The controller file NAME.yaml.
     weights, weights_name
-        Weights, and what to call them.
+        Weights, and their name in the controller file.
     sample_period
         [s].
     force_limit
         (commands,) [N].
-    output
-        The controller file NAME.yaml.
     excitation
-        Of the predicted rms values.
+        For which rms values are predicted; None: `Excitation()`.
     accept
-        Objections that are accepted, by name.
+        Names of objections in spite of which the controller is written.
 
     Returns
     -------
     proof, controller, files
-        What was proven, and what was written.
+        The proof, the controller, and the paths of the written files.
     """
     models = load_models(model_files)
     model = next(iter(models.values()))
@@ -94,40 +81,105 @@ def design_to_file(
         margins=proof.summary(),
     )
     written = save_proof(proof, models, designed.controller, output)
-    save_controller(controller, output, lines(proof))
+    save_controller(controller, output, table_lines(proof))
     return proof, controller, [Path(output), *written]
 
 
+def load_models(paths: Sequence[str]) -> dict[str, LinearModel]:
+    """Models by name: the file's name without its ending, or its whole path where two files have the same name.
+
+    Parameters
+    ----------
+    paths
+        Model files, each once.
+
+    Raises
+    ------
+    AbraceError
+        If a file is given twice or is not a model file.
+    """
+    stems = [Path(path).stem for path in paths]
+    twice = [path for path in paths if list(paths).count(path) > 1]
+    if twice:
+        raise AbraceError(f"model file {twice[0]}: given twice, expected each model once")
+    names = [stem if stems.count(stem) == 1 else path for stem, path in zip(stems, paths, strict=True)]
+    return {name: load_model(path) for name, path in zip(names, paths, strict=True)}
+
+
 def save_proof(
-    proof: Proof, models: Mapping[str, LinearModel], controller: LinearModel, beside: Path | str
+    proof: Proof, models: Mapping[str, LinearModel], controller: LinearModel, controller_file: Path | str
 ) -> list[Path]:
-    """Write the proof's numbers and figures beside a controller file.
+    """Write the proof's numbers and figures into the folder of the controller file.
 
     Parameters
     ----------
     proof
         Of the controller.
     models
-        By name, as `prove` was given them.
+        By name, as they were given to `prove`.
     controller
         Discrete.
-    beside
-        The controller file NAME.yaml: written are NAME_proof.json, NAME_loop.png, NAME_poles.png, NAME_prediction.png.
+    controller_file
+        NAME.yaml; written are NAME_proof.json, NAME_loop.png, NAME_poles.png and NAME_prediction.png.
 
     Returns
     -------
     list
-        What was written.
+        The paths of the written files.
     """
-    beside = Path(beside)
-    numbers = beside.with_name(f"{beside.stem}_proof.json")
-    write_text(numbers, proof.to_json())
+    controller_file = Path(controller_file)
+    numbers = controller_file.with_name(f"{controller_file.stem}_proof.json")
+    write_text(numbers, _proof_json(proof))
     written = [numbers]
     for name, figure in (
         ("loop", loop_figure(proof, models, controller)),
         ("poles", pole_figure(proof)),
         ("prediction", prediction_figure(proof)),
     ):
-        written.append(beside.with_name(f"{beside.stem}_{name}.png"))
+        written.append(controller_file.with_name(f"{controller_file.stem}_{name}.png"))
         save_figure(figure, written[-1])
     return written
+
+
+def finite_or_null(value: Any) -> Any:
+    """A JSON value with None for each number that JSON lacks: an infinite margin becomes null.
+
+    Parameters
+    ----------
+    value
+        A number, text, list, tuple or dict of such values.
+    """
+    if isinstance(value, dict):
+        return {key: finite_or_null(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite_or_null(entry) for entry in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _proof_json(proof: Proof) -> str:
+    """All numbers in SI units."""
+    content = {
+        "format": FILE_FORMAT,
+        "summary": proof.summary(),
+        "accepted": proof.accepted,
+        "excitation": asdict(proof.excitation),
+        "margins": asdict(proof.margins),
+        "least_damping_kept": proof.least_damping_kept,
+        "models": [_model_content(each) for each in proof.models],
+    }
+    return json.dumps(finite_or_null(content), indent=1, allow_nan=False) + "\n"
+
+
+def _model_content(proof: ModelProof) -> dict[str, Any]:
+    """One model's proof as JSON values, with derived quantities."""
+    content = asdict(proof)
+    content["poles"] = [{"frequency": frequency, "damping": damping} for frequency, damping in proof.poles]
+    if proof.disk is not None:
+        content["disk"] |= {"gain": proof.disk.gain, "phase": proof.disk.phase}
+    content["prediction"] = {
+        name: {"zero_command": without, "controlled": controlled}
+        for name, (without, controlled) in proof.prediction.items()
+    }
+    for mode, entry in zip(proof.modes, content["modes"], strict=True):
+        entry["kept"] = mode.damping_kept
+    return content

@@ -1,4 +1,4 @@
-"""The proof of a controller as lines of text: printed by `design`, and kept in the controller file as comments."""
+"""The proof of a controller as lines of text: printed by `design`, and comments in the controller file."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from abrace_core.signals import unit
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from abrace_lqg.margins.loop_margins import Margins
-    from abrace_lqg.margins.mode_damping import ModeEffect
+    from abrace_lqg.analysis.margins import Margins
+    from abrace_lqg.analysis.mode_damping import ModeEffect
     from abrace_lqg.proof.checks import ModelProof, Proof
 
 
-def lines(proof: Proof) -> list[str]:
-    """The lines of a `proof`, each model's together."""
+def table_lines(proof: Proof) -> list[str]:
+    """The lines of a `proof`, one model after the other."""
     return [line for each in proof.models for line in _model(each, proof)]
 
 
@@ -55,5 +55,5 @@ def _mode(mode: ModeEffect) -> str:
     known = "" if mode.modelled else "   not in the design model"
     return (
         f"{mode.frequency:12.2f}{mode.damping:16.4f}{mode.controlled_frequency:21.2f}"
-        f"{mode.controlled_damping:16.4f}{mode.kept:13.2f}{known}"
+        f"{mode.controlled_damping:16.4f}{mode.damping_kept:13.2f}{known}"
     )

@@ -1,13 +1,13 @@
-"""The multi-loop disk margin: all commands and all sensors off at once, each in its own way.
+"""The multi-loop disk margin: simultaneous, independent changes of gain and phase in all commands and all sensors.
 
 Each signal is multiplied by a factor f = (1 + d/2) / (1 - d/2) with a complex d of |d| < alpha: a disk that is
-symmetric about 1 on a logarithmic scale of gain (skew 0). The loop stays stable for all of them, whatever they are, as
-long as alpha is below 1 / max over frequency of mu(S - I/2), with S the sensitivity of all signals together and mu the
-structured singular value for a diagonal d (Seiler, Packard and Gahinet 2020, An introduction to disk margins). Commands
-and sensors are off together: S is that of the loop [U; y] = [[0, K], [G/z, 0]] [U; y].
+symmetric about 1 on a logarithmic scale of gain (skew 0). The loop stays stable for all such factors as long as alpha
+is below 1 / max over frequency of mu(S - I/2), with S the sensitivity of all signals together and mu the structured
+singular value for a diagonal d (Seiler, Packard and Gahinet 2020, An introduction to disk margins). Commands and
+sensors change together: S is that of the loop [U; y] = [[0, K], [G/z, 0]] [U; y].
 
-mu is bounded from above by the least sigma_max(D M D^-1) over diagonal D that a descent finds, so that the margin given
-is one that the loop has; up to three signals the bound can be met exactly (Doyle 1982).
+mu is bounded from above by the least sigma_max(D M D^-1) over diagonal D that a gradient descent finds, so that the
+margin is never overestimated; up to three signals the bound can be met exactly (Doyle 1982).
 """
 
 from __future__ import annotations
@@ -25,14 +25,15 @@ if TYPE_CHECKING:
 
     from abrace_core.linear_model import LinearModel
 
-DESCENT = 60
-"""Steps of the descent over D."""
+DESCENT_STEPS = 60
+"""Of the gradient descent over D."""
 
-BALANCING = 20
+BALANCING_SWEEPS = 20
 """Sweeps that bring rows and columns to one size."""
 
 ROUNDING = 1 - 1e-6
-"""Share of the greatest spectral radius that a bound must have to be looked at: the two may be one but for rounding."""
+"""Share of the greatest spectral radius below which a frequency's bound rules it out: both may be equal but for
+rounding."""
 
 TINY = 1e-9
 """Share of the greatest entry that is added to all of |M|, so that Perron's vectors have no zero."""
@@ -40,14 +41,14 @@ TINY = 1e-9
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """What all signals may be off by at once.
+    """Simultaneous change of gain and phase of all signals that the loop tolerates.
 
     Parameters
     ----------
     alpha
         Radius of the disk of d.
     frequency
-        Where it is least [rad/s].
+        At which it is least [rad/s].
     """
 
     alpha: float
@@ -55,12 +56,12 @@ class DiskMargin:
 
     @property
     def gain(self) -> float:
-        """Change of gain, up or down, that every signal may have at once [dB]."""
+        """Tolerated change of gain of all signals at once, up or down [dB]."""
         return float(20 * np.log10((2 + self.alpha) / (2 - self.alpha))) if self.alpha < 2 else np.inf
 
     @property
     def phase(self) -> float:
-        """Change of phase, either way, that every signal may have at once [degrees]."""
+        """Tolerated change of phase of all signals at once, either way [degrees]."""
         return float(np.degrees(2 * np.arctan(self.alpha / 2)))
 
     def __str__(self) -> str:
@@ -87,30 +88,30 @@ def disk_margin(model: LinearModel, controller: LinearModel) -> DiskMargin:
     if not loop.is_stable:
         raise AbraceError("disk margin: the closed loop is not stable")
     omega = loop.frequencies()
-    forward, back = loop.paths(omega)
-    size, commands = len(loop.signals), back.shape[1]
-    around = np.zeros((len(omega), size, size), dtype=np.complex128)
-    around[:, :commands, commands:], around[:, commands:, :commands] = back, forward
-    matrix = np.asarray(np.linalg.inv(np.eye(size) - around) - np.eye(size) / 2, dtype=np.complex128)
-    # mu lies between the spectral radius and the bound: where the bound is below the greatest radius is no peak
+    plant, law = loop.components(omega)
+    size, commands = len(loop.signals), law.shape[1]
+    open_loop = np.zeros((len(omega), size, size), dtype=np.complex128)
+    open_loop[:, :commands, commands:], open_loop[:, commands:, :commands] = law, plant
+    matrix = np.asarray(np.linalg.inv(np.eye(size) - open_loop) - np.eye(size) / 2, dtype=np.complex128)
+    # mu lies between spectral radius and bound: a frequency whose bound is below the greatest radius cannot be the peak
     bound = structured_bound(matrix, 0)
     candidates = np.flatnonzero(bound >= ROUNDING * np.abs(np.linalg.eigvals(matrix)).max())
-    refined = structured_bound(matrix[candidates], DESCENT)
+    refined = structured_bound(matrix[candidates], DESCENT_STEPS)
     worst = int(np.argmax(refined))
     return DiskMargin(float(1 / refined[worst]), float(omega[candidates[worst]]))
 
 
-def structured_bound(matrix: NDArray[np.complex128], descent: int) -> NDArray[np.float64]:
-    """Upper bound of mu of each matrix (matrices, signals, signals), for a diagonal complex perturbation.
+def structured_bound(matrix: NDArray[np.complex128], descent_steps: int) -> NDArray[np.float64]:
+    """Upper bound of mu of each matrix, for a diagonal complex perturbation.
 
     Parameters
     ----------
     matrix
-        Matrices M.
-    descent
+        Matrices M (matrices, signals, signals).
+    descent_steps
         Steps along the gradient of log sigma_max(D M D^-1) by log D, which is |u_i|^2 - |v_i|^2 with the first singular
         vectors u and v. They begin at the D of Perron's vectors of |M|, whose rows and columns are balanced before, as
-        signals in newtons stand beside some in m/s^2. The best of all steps counts.
+        signals are in newtons and in m/s^2. The least bound of all steps is returned.
 
     Returns
     -------
@@ -119,7 +120,7 @@ def structured_bound(matrix: NDArray[np.complex128], descent: int) -> NDArray[np
     """
     logarithm = np.zeros(matrix.shape[:2])
     sizes = np.abs(matrix)
-    for _ in range(BALANCING):
+    for _ in range(BALANCING_SWEEPS):
         scale = np.exp(logarithm)
         scaled = sizes * (scale[:, :, None] / scale[:, None, :]) + np.finfo(np.float64).tiny
         step = np.log(scaled.sum(axis=1) / scaled.sum(axis=2)) / 4
@@ -131,7 +132,7 @@ def structured_bound(matrix: NDArray[np.complex128], descent: int) -> NDArray[np
     left = np.linalg.inv(right)[pick, first]
     logarithm += (np.log(np.abs(left)) - np.log(np.abs(right[pick, :, first]))) / 2
     best = np.full(len(matrix), np.inf)
-    for step in range(descent + 1):
+    for step in range(descent_steps + 1):
         scale = np.exp(logarithm)
         u, sigma, v = np.linalg.svd(matrix * (scale[:, :, None] / scale[:, None, :]))
         best = np.minimum(best, sigma[:, 0])

@@ -1,7 +1,7 @@
-"""How far a loop is from instability: gain, phase and delay margin and sensitivity peak, wherever it is broken.
+"""Gain, phase and delay margin and sensitivity peak of a loop broken at one signal, the others closed.
 
-The margins of one signal at a time, a command at the plant's input or a sensor, the others closed as they are. What all
-may be off by together is `disk_margin`'s.
+The signal is a command at the plant's input or a measured quantity. The margin for changes of all signals at once is
+`disk_margin`'s.
 """
 
 from __future__ import annotations
@@ -21,24 +21,25 @@ if TYPE_CHECKING:
 
     from abrace_core.linear_model import LinearModel
 
-REAL = 1e-2
-"""Radians within which L counts as real at the ends of the search, where it meets the real axis without crossing it."""
+REAL_PHASE = 1e-2
+"""Radians within which L counts as real at the ends of the frequency grid, where it reaches the real axis without
+crossing it."""
 
-REFINEMENTS = 40
-"""Most steps of the search for a crossing, which seldom needs ten."""
+MOST_STEPS = 40
+"""Of the search for a crossing, which seldom needs ten."""
 
-EXACT = 1e-12
-"""Relative width at which a crossing is found."""
+TOLERANCE = 1e-12
+"""Relative change of a crossing's frequency at which the search ends."""
 
 
 @dataclass(frozen=True)
 class Margins:
-    """How far a loop is from instability, broken at one signal.
+    """Stability margins of a loop broken at one signal.
 
     Parameters
     ----------
     gain
-        Least change of gain, up or down, that reaches the edge [dB]; infinite if none does.
+        Least change of gain, up or down, that makes the loop unstable [dB]; infinite if none does.
     phase
         Least change of phase, either way, that does [degrees].
     delay
@@ -70,13 +71,13 @@ class Margins:
 
 
 def margins(model: LinearModel, controller: LinearModel) -> Margins:
-    """Gain, phase and delay margin and sensitivity peak of a stable loop at the plant's input.
+    """The margins of a stable loop at the plant's input.
 
     Parameters
     ----------
     model, controller
-        As in `abrace_lqg.loop.closed_loop`. Where there are several commands the loop is broken at one after the
-        other, the others closed, and the worst counts.
+        As in `abrace_lqg.loop.closed_loop`. With several commands the loop is broken at each in turn, the others
+        closed, and the least of each margin is returned.
 
     Raises
     ------
@@ -89,14 +90,14 @@ def margins(model: LinearModel, controller: LinearModel) -> Margins:
 def margins_at(
     model: LinearModel, controller: LinearModel, broken_at: Sequence[str] | None = None
 ) -> dict[str, Margins]:
-    """The margins of a stable loop broken at one signal after the other, the others closed.
+    """The margins of a stable loop broken at each signal in turn, the others closed.
 
     Parameters
     ----------
     model, controller
         As in `abrace_lqg.loop.closed_loop`.
     broken_at
-        Commands and measured quantities; all of them if not given.
+        Commands and measured quantities; None: all of them.
 
     Raises
     ------
@@ -107,17 +108,13 @@ def margins_at(
     if not loop.is_stable:
         raise AbraceError("margins: the closed loop is not stable")
     omega = loop.frequencies()
-    complementary = loop.complementary(omega)
-    found = {}
-    for name in loop.signals if broken_at is None else broken_at:
-        if name not in loop.signals:
-            raise AbraceError(f"margins at {name!r}: expected one of {', '.join(loop.signals)}")
-        found[name] = _margins_of(loop, name, omega, complementary[:, loop.signals.index(name)])
-    return found
+    complementary = loop.complementary_sensitivity(omega)
+    names = loop.signals if broken_at is None else broken_at
+    return {name: _margins_of(loop, name, omega, complementary[:, loop.index(name)]) for name in names}
 
 
 def _margins_of(loop: Loop, signal: str, omega: NDArray[np.float64], complementary: NDArray[np.complex128]) -> Margins:
-    """The margins at one signal, from T (frequencies,) at `omega`, which brackets the crossings."""
+    """The margins at one signal, from T (frequencies,) at `omega`, a grid that brackets the crossings."""
     response = complementary / (1 - complementary)
 
     def crossings(measure: Callable[[NDArray[np.complex128]], NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -125,13 +122,13 @@ def _margins_of(loop: Loop, signal: str, omega: NDArray[np.float64], complementa
         values = measure(response)
         changes = np.flatnonzero(np.sign(values[:-1]) != np.sign(values[1:]))
         ends = omega[changes], omega[changes + 1], values[changes], values[changes + 1]
-        return _roots(lambda between: measure(loop.at(signal, between)), *ends)
+        return _roots(lambda between: measure(loop.transfer_function(signal, between)), *ends)
 
-    at_phase = np.append(loop.at(signal, crossings(np.imag)), response[[0, -1]])
-    at_phase = at_phase[(at_phase != 0) & (np.abs(np.angle(-at_phase)) < REAL)]
+    at_phase = np.append(loop.transfer_function(signal, crossings(np.imag)), response[[0, -1]])
+    at_phase = at_phase[(at_phase != 0) & (np.abs(np.angle(-at_phase)) < REAL_PHASE)]
     gains = np.abs(20 * np.log10(np.abs(at_phase)))
     at_gain = crossings(lambda values: np.abs(values) - 1)
-    angles = np.mod(np.angle(-loop.at(signal, at_gain)), 2 * np.pi)
+    angles = np.mod(np.angle(-loop.transfer_function(signal, at_gain)), 2 * np.pi)
     return Margins(
         gain=float(gains.min(initial=np.inf)),
         phase=float(np.degrees(np.minimum(angles, 2 * np.pi - angles)).min(initial=180.0)),
@@ -147,16 +144,16 @@ def _roots(
     at_low: NDArray[np.float64],
     at_high: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """A root in each interval from its ends' values of opposite signs: false position (Illinois), all at once."""
+    """A root in each interval, whose ends' values have opposite signs, by false position (Illinois) for all at once."""
     low, high, at_low, at_high = low.copy(), high.copy(), at_low.copy(), at_high.copy()
     best = low
-    for _ in range(REFINEMENTS if len(low) else 0):
+    for _ in range(MOST_STEPS if len(low) else 0):
         drop = at_high - at_low
         last, best = best, np.where(drop == 0, low, high - at_high * (high - low) / np.where(drop == 0, 1, drop))
-        if np.all(np.abs(best - last) <= EXACT * best):
+        if np.all(np.abs(best - last) <= TOLERANCE * best):
             break
         value = function(best)
-        # the new point takes the place of `high`; where it lies on that end's side `low` stays, its value halved
+        # the new point replaces `high`; where both have the same sign `low` stays and its value is halved
         same = np.sign(value) == np.sign(at_high)
         low, at_low = np.where(same, low, high), np.where(same, at_low / 2, at_high)
         high, at_high = best, value

@@ -1,7 +1,8 @@
-"""What a loop will do: rms of every response and of the commands while the ground shakes at random.
+"""Predicted rms of responses and commands under random ground motion.
 
 The ground acceleration is noise with a flat spectrum in a band; the response's power is the integral of |H|^2 over that
-band, with H of the sampled loop, for which the ground moves linearly between samples. Nothing saturates here.
+band, with H the transfer function of the sampled loop, for which the ground acceleration is linear between samples. The
+prediction is linear: commands do not saturate.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
-from abrace_lqg.loop import LOWEST, closed_loop, resolving, sampled
+from abrace_lqg.loop import LOWEST_FREQUENCY, closed_loop, eigenvalues, frequency_grid, sampled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Excitation:
-    """Banded white noise of the ground acceleration.
+    """Ground acceleration: white noise within a band.
 
     Parameters
     ----------
@@ -35,7 +36,7 @@ class Excitation:
     Raises
     ------
     AbraceError
-        If there is no such noise.
+        If the rms or the band is not positive and finite.
     """
 
     rms: float = 0.25
@@ -52,28 +53,28 @@ class Excitation:
         return f"ground acceleration of {self.rms:g} m/s^2 rms, flat from {self.band[0]:g} to {self.band[1]:g} Hz"
 
 
-def excited(model: LinearModel, excitation: Excitation) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
-    """Amplitudes of the outputs over the band.
+def output_amplitudes(model: LinearModel, excitation: Excitation) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """Amplitude of each output at frequencies over the band of the excitation.
 
     Parameters
     ----------
     model
         Discrete and stable; its only input is the ground acceleration.
     excitation
-        How the ground shakes.
+        Of the ground.
 
     Returns
     -------
     omega, amplitudes
-        (frequencies,) [rad/s] and (frequencies, outputs): products of two outputs' amplitudes, one conjugated, add up
-        to their covariance.
+        (frequencies,) [rad/s] and (frequencies, outputs), complex: the sum over all frequencies of one output's
+        amplitude times the conjugate of another's is their covariance.
 
     Raises
     ------
     AbraceError
         If the model has other inputs, is not stable, or is sampled too slowly for the band.
     """
-    poles = np.asarray(np.linalg.eigvals(model.a), dtype=np.complex128)
+    poles = eigenvalues(model.a)
     if model.inputs != (signals.GROUND,) or not model.sample_period or np.abs(poles).max(initial=0.0) >= 1:
         raise AbraceError(
             f"prediction: model with inputs {', '.join(model.inputs)} and sample period {model.sample_period} s, "
@@ -85,7 +86,7 @@ def excited(model: LinearModel, excitation: Excitation) -> tuple[NDArray[np.floa
         raise AbraceError(
             f"prediction: band up to {excitation.band[1]} Hz, expected at most {highest / (2 * np.pi):g} Hz"
         )
-    omega = resolving(poles, model.sample_period, (max(low, LOWEST), min(high, highest)))
+    omega = frequency_grid(poles, model.sample_period, (max(low, LOWEST_FREQUENCY), min(high, highest)))
     steps = np.diff(omega)
     share = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]]) / 2 / (high - low)
     response = model.frequency_response(omega)[:, :, 0]
@@ -102,16 +103,16 @@ def predicted_rms(model: LinearModel, controller: LinearModel | None, excitation
     controller
         Eq. (13); None: zero command, with a discrete model.
     excitation
-        How the ground shakes.
+        Of the ground.
     """
     loop = model.select(inputs=[signals.GROUND]) if controller is None else closed_loop(model, controller)
-    _, amplitudes = excited(loop, excitation)
+    _, amplitudes = output_amplitudes(loop, excitation)
     rms = np.sqrt(np.sum(np.abs(amplitudes) ** 2, axis=0))
     found = dict(zip(loop.outputs, rms.tolist(), strict=True))
     return {name: 0.0 for name in model.inputs if name != signals.GROUND} | found
 
 
-def controlled_and_not(
+def rms_without_and_with_control(
     model: LinearModel, controller: LinearModel, excitation: Excitation
 ) -> dict[str, tuple[float, float]]:
     """Rms of each output and command by name, with zero command and controlled [SI units].

@@ -1,4 +1,4 @@
-"""The run-time law is Eq. (13) while nothing limits it, and an observer of what acts where something does."""
+"""The run-time law is Eq. (13) without limits, and an observer of the applied command where it is limited."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from abrace_core.controller_file import Controller
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import simulate, simulate_closed_loop
-from abrace_lqg.controller import REMEMBERED, ControlLaw
+from abrace_lqg.control_law import INNOVATION_WINDOW, ControlLaw
 from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.loop import sampled
 from abrace_lqg.weights import load_weights
@@ -57,15 +57,15 @@ def samples(count: int, seed: int = 6) -> np.ndarray:
 
 
 def answers(law: ControlLaw, y: np.ndarray) -> np.ndarray:
-    """The commands, each of which acts as it is."""
+    """The commands, each applied without a limit."""
     found = []
     for row in y:
         found.append(law.update(row.tolist()).tolist())
-        law.acted(found[-1])
+        law.advance(found[-1])
     return np.array(found)
 
 
-def test_it_gives_the_response_of_eq_13_while_nothing_limits_it():
+def test_without_limits_it_gives_the_response_of_eq_13():
     controller, y = random_controller(), samples(200)
     expected = simulate(controller.law, y)
     np.testing.assert_allclose(answers(ControlLaw(controller, NAMES), y), expected, rtol=1e-10, atol=1e-12)
@@ -91,7 +91,7 @@ def test_the_same_samples_give_the_same_bits():
     assert runs[0] == runs[1]
 
 
-def test_a_cut_command_leaves_the_estimate_of_a_filter_that_is_told_the_cut_command():
+def test_the_estimate_is_that_of_a_filter_with_the_limited_command_as_input():
     """Tustin's transformation by scipy of the filter q' = (A - L C) q + (B - L D) u + L y, u left open."""
     made, controller = frame_design(), frame_controller()
     plant = made.design_model.select(["a1"])
@@ -107,24 +107,24 @@ def test_a_cut_command_leaves_the_estimate_of_a_filter_that_is_told_the_cut_comm
         np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8 * 500)
         force = np.clip(found, -500.0, 500.0)
         cut += (found != force).any()
-        law.acted(force.tolist())
+        law.advance(force.tolist())
         q = a @ q + b @ [force[0], y]
     assert 100 < cut < 1900, "cut now and then"
 
 
-def test_after_saturation_the_law_goes_on_at_once_where_eq_13_alone_has_wound_up():
+def test_after_saturation_the_law_recovers_at_once_where_eq_13_alone_has_wound_up():
     controller = frame_controller()
     law, wound_up, free = (ControlLaw(controller, ["a1"]) for _ in range(3))
     # a slow quantity that keeps the command at its limit, and then is gone
     for y in [2.0] * 1000 + [0.0] * 50:
         force = np.clip(law.update([y]), -500.0, 500.0).tolist()
-        law.acted(force)
-        wound_up.acted(wound_up.update([y]).tolist())
-        # the same observer, told by hand what acted
+        law.advance(force)
+        wound_up.advance(wound_up.update([y]).tolist())
+        # the same observer with the applied force
         free.update([y])
-        free.acted(force)
+        free.advance(force)
     np.testing.assert_array_equal(law.update([0.0]), free.update([0.0]))
-    assert abs(wound_up.update([0.0])[0] - law.update([0.0])[0]) > 10, "otherwise this test promises nothing"
+    assert abs(wound_up.update([0.0])[0] - law.update([0.0])[0]) > 10, "expected Eq. (13) alone to wind up"
 
 
 def test_it_runs_as_the_closed_loop_is_simulated_saturated_or_not():
@@ -135,13 +135,13 @@ def test_it_runs_as_the_closed_loop_is_simulated_saturated_or_not():
     law, found = ControlLaw(controller, plant.outputs), []
     for row in outputs[:-2]:
         found.append(np.clip(law.update(row.tolist()), -500.0, 500.0).tolist())
-        law.acted(found[-1])
+        law.advance(found[-1])
     np.testing.assert_allclose(found, commands[2:], atol=1e-7)
     assert 0.02 < np.mean(np.abs(commands) == 500.0) < 0.98
 
 
 def test_the_innovation_vanishes_where_the_rig_is_the_design_model_and_the_ground_is_still():
-    """Then the estimate knows everything: the design model, stepped by Tustin's rule, from the estimate's own state."""
+    """The estimate is then exact: the design model, stepped by Tustin's rule, starts from the estimate's state."""
     made, controller = frame_design(), frame_controller()
     plant = made.design_model.select(["a1"])
     model = (plant.a, plant.b[:, 1:], plant.c, plant.d[:, 1:])
@@ -149,7 +149,7 @@ def test_the_innovation_vanishes_where_the_rig_is_the_design_model_and_the_groun
     law, q = ControlLaw(controller, ["a1"]), np.zeros(len(a))
     for u in 300 * np.sin(0.05 * np.arange(500)):
         law.update((c @ q + d @ [u]).tolist())
-        law.acted([u])
+        law.advance([u])
         q = a @ q + b @ [u]
     assert law.innovation_rms()[0] < 1e-9 * np.abs(c @ q).max()
 
@@ -162,28 +162,28 @@ def test_the_innovation_is_the_rms_of_measured_minus_expected_values():
         command = controller.law.c @ q + controller.law.d @ y
         force = np.clip(command, -2.0, 2.0)
         law.update(y.tolist())
-        law.acted(force.tolist())
+        law.advance(force.tolist())
         innovations.append(y - controller.prediction @ np.concatenate([q, force]))
         q = controller.law.a @ q + controller.law.b @ y + controller.correction @ (force - command)
     expected = np.sqrt(np.mean(np.array(innovations) ** 2, axis=0))
     np.testing.assert_allclose(law.innovation_rms(), expected, rtol=1e-10)
 
 
-def test_old_innovations_are_forgotten():
+def test_the_rms_of_the_innovation_is_that_of_the_last_samples():
     law = ControlLaw(random_controller(), NAMES)
     answers(law, 1e6 * samples(10))
-    answers(law, samples(REMEMBERED + 200, 8))
+    answers(law, samples(INNOVATION_WINDOW + 200, 8))
     assert law.innovation_rms().max() < 1e4
 
 
 def test_over_lost_samples_the_last_values_and_the_force_hold():
     controller = random_controller()
-    law, told = ControlLaw(controller, NAMES), ControlLaw(controller, NAMES)
+    law, expected_law = ControlLaw(controller, NAMES), ControlLaw(controller, NAMES)
     answers(law, samples(10))
-    command = answers(told, samples(10))[-1].tolist()
+    command = answers(expected_law, samples(10))[-1].tolist()
     law.bridge(3)
     for _ in range(3):
-        told.update(samples(10)[-1].tolist())
-        told.acted(command)
+        expected_law.update(samples(10)[-1].tolist())
+        expected_law.advance(command)
     y = samples(1, 9)
-    np.testing.assert_array_equal(answers(law, y), answers(told, y))
+    np.testing.assert_array_equal(answers(law, y), answers(expected_law, y))

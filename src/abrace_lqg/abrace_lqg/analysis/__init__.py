@@ -1,0 +1,1 @@
+"""Closed-loop analysis: takes a model and a controller, gives stability margins, modal damping, predicted rms."""

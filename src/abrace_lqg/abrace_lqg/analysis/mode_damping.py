@@ -1,0 +1,92 @@
+"""The damping of each mode of a structure without and with control, unmodelled modes included.
+
+Each pole pair is followed along the root locus: from the uncontrolled plant to the closed loop, while a gain on the
+commands grows from zero to one. So each closed-loop pole is assigned to the mode that it came from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from abrace_lqg.loop import NEGLIGIBLE_POLE, closed_loop, eigenvalues, sampled
+
+if TYPE_CHECKING:
+    from abrace_core.linear_model import LinearModel
+
+LOCUS_STEPS = 150
+"""Steps of the gain on the commands, from zero to one."""
+
+SAME_MODE = 0.05
+"""Relative difference of frequency within which a pole pair counts as one of the design model's."""
+
+
+@dataclass(frozen=True)
+class ModeEffect:
+    """One pole pair of the plant, without and with control.
+
+    Parameters
+    ----------
+    frequency, damping
+        [rad/s] and damping ratio without control.
+    controlled_frequency, controlled_damping
+        The same pair in the closed loop; a frequency of zero where it is real.
+    modelled
+        Whether the design model has a pole pair of this frequency.
+    """
+
+    frequency: float
+    damping: float
+    controlled_frequency: float
+    controlled_damping: float
+    modelled: bool
+
+    @property
+    def damping_kept(self) -> float:
+        """Damping ratio with control over that without; above 1 where control adds damping."""
+        return self.controlled_damping / self.damping
+
+
+def mode_effects(model: LinearModel, controller: LinearModel, design_model: LinearModel) -> list[ModeEffect]:
+    """Frequency and damping of each oscillating pole pair of a model without and with control, slowest first.
+
+    Parameters
+    ----------
+    model, controller
+        As in `abrace_lqg.loop.closed_loop`.
+    design_model
+        The model that the controller was designed with; pole pairs that it lacks are unmodelled.
+    """
+    period = controller.sample_period
+    plant = sampled(model, period)
+    loop = closed_loop(plant, controller).a
+    commands = slice(plant.order, plant.order + len(controller.outputs))
+    gain = np.ones((len(loop), 1))
+    gain[commands] = 0.0
+    start = followed = eigenvalues(gain * loop)
+    for value in np.linspace(0, 1, LOCUS_STEPS + 1)[1:] ** 2:
+        gain[commands] = value
+        poles = eigenvalues(gain * loop)
+        _, order = linear_sum_assignment(np.abs(followed[:, None] - poles))
+        followed = poles[order]
+    # with zero gain the loop's poles are the plant's and the controller's: find the plant's among them
+    own = eigenvalues(plant.a)
+    own = own[(own.imag > 1e-9) & (np.abs(own) > NEGLIGIBLE_POLE)]
+    _, indices = linear_sum_assignment(np.abs(own[:, None] - start))
+    known = np.abs(design_model.poles()[design_model.poles().imag > 0])
+    effects = []
+    for before, after in zip(np.log(own) / period, np.log(followed[indices]) / period, strict=True):
+        frequency = float(abs(before))
+        effects.append(
+            ModeEffect(
+                frequency,
+                float(-before.real / frequency),
+                float(abs(after)) if after.imag else 0.0,
+                float(-after.real / abs(after)),
+                bool((np.abs(known / frequency - 1) < SAME_MODE).any()),
+            )
+        )
+    return sorted(effects, key=lambda effect: effect.frequency)

@@ -1,1 +1,0 @@
-"""A sampled loop to its margins: stability, damping, lost samples, predicted responses."""
