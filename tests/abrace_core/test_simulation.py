@@ -8,7 +8,6 @@ from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import simulate, simulate_closed_loop
-from abrace_lqg.loop import closed_loop
 
 OMEGA, ZETA, PERIOD = 7.3, 0.02, 0.05
 
@@ -131,24 +130,30 @@ def plant_and_controller() -> tuple[LinearModel, LinearModel]:
     return plant, controller
 
 
-def test_closed_loop_is_the_interconnection_with_one_sample_of_delay():
-    plant, controller = plant_and_controller()
-    ground = np.random.default_rng(2).standard_normal(200)
-    outputs, commands = simulate_closed_loop(plant, controller, ground, np.array([1e9]))
-    # states [plant, controller, command in force]: the command of sample k acts from k+1 on
-    y_x, y_w, y_u = plant.c[1:2], plant.d[1:2, :1], plant.d[1:2, 1:]
+def interconnection(plant: LinearModel, controller: LinearModel) -> LinearModel:
+    """Both as one model of the states [plant, controller, command in force]; its last outputs are those commands."""
+    measured = [plant.outputs.index(name) for name in controller.inputs]
+    y_x, y_w, y_u = plant.c[measured], plant.d[measured, :1], plant.d[measured, 1:]
+    n, q, m = plant.order, controller.order, len(controller.outputs)
     a = np.block(
         [
-            [plant.a, np.zeros((2, 1)), plant.b[:, 1:]],
+            [plant.a, np.zeros((n, q)), plant.b[:, 1:]],
             [controller.b @ y_x, controller.a, controller.b @ y_u],
             [controller.d @ y_x, controller.c, controller.d @ y_u],
         ]
     )
     b = np.vstack([plant.b[:, :1], controller.b @ y_w, controller.d @ y_w])
-    c = np.block([[plant.c, np.zeros((2, 1)), plant.d[:, 1:]], [np.zeros((1, 3)), np.ones((1, 1))]])
-    d = np.vstack([plant.d[:, :1], [[0.0]]])
-    whole = LinearModel(a, b, c, d, ("w",), ("x", "y", "U"), sample_period=PERIOD)
-    expected = simulate(whole, ground[:, None])
+    c = np.block([[plant.c, np.zeros((len(plant.outputs), q)), plant.d[:, 1:]], [np.zeros((m, n + q)), np.eye(m)]])
+    d = np.vstack([plant.d[:, :1], np.zeros((m, 1))])
+    names = (*plant.outputs, *controller.outputs)
+    return LinearModel(a, b, c, d, ("w",), names, sample_period=plant.sample_period)
+
+
+def test_closed_loop_is_the_interconnection_with_one_sample_of_delay():
+    plant, controller = plant_and_controller()
+    ground = np.random.default_rng(2).standard_normal(200)
+    outputs, commands = simulate_closed_loop(plant, controller, ground, np.array([1e9]))
+    expected = simulate(interconnection(plant, controller), ground[:, None])
     np.testing.assert_allclose(outputs, expected[:, :2], atol=1e-12)
     np.testing.assert_allclose(commands[1:, 0], expected[:-1, 2], atol=1e-12, err_msg="in force until each sample")
     assert commands[0, 0] == 0
@@ -316,7 +321,7 @@ def test_closed_loop_holds_a_plant_that_falls_over_fast():
     # what the loop cancels must not be lost in rounding
     plant = LinearModel([[3.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]], ("w", "U"), ("y",), sample_period=PERIOD)
     law = LinearModel([[-3.0]], [[1.0]], [[27.0]], [[-9.0]], ("y",), ("U",), sample_period=PERIOD)
-    assert np.abs(np.linalg.eigvals(closed_loop(plant, law).a)).max() < 0.1, "the test's own loop has to be stable"
+    assert np.abs(np.linalg.eigvals(interconnection(plant, law).a)).max() < 0.1, "the test's own loop has to be stable"
     ground = np.random.default_rng(8).standard_normal(400)
     found, commands = simulate_closed_loop(plant, law, ground, np.array([1e9]))
     expected, expected_commands = stepped_closed_loop(plant, law, ground, np.array([1e9]))
@@ -340,7 +345,7 @@ def test_closed_loop_without_saturation_is_the_linear_loop(correction):
     plant, controller = plant_and_controller()
     ground = np.random.default_rng(9).standard_normal(5000)
     outputs, commands = simulate_closed_loop(plant, controller, ground, np.array([1e9]), correction)
-    whole = simulate(closed_loop(plant, controller), ground[:, None])
+    whole = simulate(interconnection(plant, controller), ground[:, None])
     assert_equal_to_rounding(outputs, whole[:, :2])
     assert_equal_to_rounding(commands[1:], whole[:-1, 2:])
 

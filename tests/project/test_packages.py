@@ -4,7 +4,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 
 import pytest
-from source_tree import FLOORS, ROOT, Module, modules_of, read_module
+from source_tree import FLOORS, ROOT, Module, modules_of, read_module, ring
 
 KEYS = {
     "numpy": "python3-numpy",
@@ -34,7 +34,8 @@ FROM_PIP = {
 }
 """Python packages that rosdep does not know, or only older than abrace needs (pydantic 1): pip installs them."""
 MODULES_OF_TESTS = {path.stem for folder in ("tests/support", "benchmarks") for path in (ROOT / folder).glob("*.py")}
-PACKAGES = {"abrace_interfaces", *FLOORS}
+PACKAGES = {"abrace_interfaces", *FLOORS} - {"abrace"}
+"""Named in a text they are a dependency; `abrace` is also the name of other things."""
 
 
 def keys(modules: list[Module], package: str) -> set[str]:
@@ -60,13 +61,23 @@ def test_what_is_imported_is_declared_and_nothing_else(package):
     assert declared(package, "exec_depend") == used(package)
 
 
+def modules_of_tests(package: str) -> list[Module]:
+    """The tests of a package; those of the graph, the documents and the project are the roof's."""
+    folders = [package, *(["graph", "docs", "project"] if package == "abrace" else [])]
+    return [
+        read_module(path, path.stem) for folder in folders for path in sorted((ROOT / "tests" / folder).glob("*.py"))
+    ]
+
+
 @pytest.mark.parametrize("package", FLOORS)
 def test_what_only_tests_import_is_declared_as_such(package):
-    folders = [ROOT / "tests" / package]
-    if package == "abrace":  # the graph's and the documents' tests need every package
-        folders += [ROOT / "tests/graph", ROOT / "tests/docs", ROOT / "tests/project"]
-    tests = [read_module(path, path.stem) for folder in folders for path in sorted(folder.glob("*.py"))]
-    assert declared(package, "test_depend") == keys(tests, package) - used(package)
+    assert declared(package, "test_depend") == keys(modules_of_tests(package), package) - used(package)
+
+
+def test_no_ring_of_dependencies_not_even_by_tests():
+    """colcon orders packages by all of them, and refuses a ring."""
+    arrows = {name: (declared(name, "exec_depend") | declared(name, "test_depend")) & set(FLOORS) for name in FLOORS}
+    assert not ring(arrows), " -> ".join(ring(arrows))
 
 
 @pytest.mark.parametrize("name", sorted(FROM_PIP - {"psutil"}))
