@@ -75,7 +75,10 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
     attachments = [attachment for file in files for attachment in file.attachments]
     counts: dict[str, int] = {}
     topics: dict[str, int] = {}
-    with _new_bag(Path(output)) as beside, BagWriter(beside, facts, records=records, attachments=attachments) as writer:
+    with (
+        _new_bag(Path(output)) as temporary,
+        BagWriter(temporary, facts, records=records, attachments=attachments) as writer,
+    ):
         for file, numbers in zip(files, usable, strict=True):
             messages = []
             for number in numbers:
@@ -103,12 +106,12 @@ def _new_bag(output: Path) -> Iterator[Path]:
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{output.name}.", dir=output.parent) as folder:
-            beside = Path(folder) / output.name
+            temporary = Path(folder) / output.name
             try:
-                yield beside
+                yield temporary
             except AbraceError as error:
-                raise AbraceError(str(error).replace(str(beside), str(output))) from error
-            beside.rename(output)
+                raise AbraceError(str(error).replace(str(temporary), str(output))) from error
+            temporary.rename(output)
     except OSError as error:
         raise AbraceError(f"cannot write bag {output}: {error.strerror}") from error
 

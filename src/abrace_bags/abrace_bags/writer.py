@@ -287,9 +287,9 @@ class BagWriter:
         """Begin the next file with what each file holds, the first one with what is attached."""
         span = FileSpan(f"{self.directory.name}_{len(self._files)}.mcap", counts=dict.fromkeys(self._topics, 0))
         # without its head a file is none that readers know: it gets its name when it has one
-        beside = self.directory / f"{span.name}.part"
+        temporary = self.directory / f"{span.name}.part"
         try:
-            self._file = McapWriter(beside, *self._compressor)
+            self._file = McapWriter(temporary, *self._compressor)
         except OSError as error:
             raise self._failure(error) from error
         self._files.append(span)
@@ -306,10 +306,10 @@ class BagWriter:
                 for attachment in attachments:
                     self._file.add_attachment(attachment)
                 self._file.flush()
-                beside.rename(self.file)
+                temporary.rename(self.file)
         except AbraceError:
             with contextlib.suppress(OSError):
-                beside.unlink()
+                temporary.unlink()
             raise
         self._head_size = self._file.size
 
