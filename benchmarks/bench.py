@@ -36,8 +36,7 @@ from abrace.campaign import run_campaign
 from abrace.table import Table
 from abrace_bags import read_run
 from abrace_core.controller_file import save_controller
-from abrace_core.files import write_text
-from abrace_core.node import find_file
+from abrace_core.files import find_file, write_text
 from abrace_plant.live.loop import RigLoop
 from abrace_plant.rig.file import load_rig
 

@@ -11,8 +11,8 @@ import pytest
 from abrace.processes import find_executable
 from abrace_bags import BagWriter, message_definition
 from abrace_core.controller_file import load_controller
+from abrace_core.files import find_file
 from abrace_core.linear_model import load_model, pole_table
-from abrace_core.node import find_file
 from abrace_core.noise import banded_noise
 from abrace_core.wire import Responses
 from abrace_plant.live.loop import RigLoop

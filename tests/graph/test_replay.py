@@ -17,7 +17,7 @@ from abrace_bags import BagWriter, message_definition, read_topics
 from abrace_bags.nodes.replay import Replay
 from abrace_bags.raw import read_raw
 from abrace_core.controller_file import Controller, save_controller
-from abrace_core.node import LATCHED_QOS
+from abrace_core.node import TRANSIENT_LOCAL_QOS
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
@@ -180,7 +180,7 @@ def test_every_message_comes_again_as_it_was_and_the_latched_one_to_who_comes_la
     assert graph.call(Trigger, "replay/step", Trigger.Request()).success
     assert graph.call(Trigger, "replay/step", Trigger.Request()).success
     graph.until(lambda: len(said) == 1, "the first word")
-    title = graph.listen(String, "title", LATCHED_QOS)
+    title = graph.listen(String, "title", TRANSIENT_LOCAL_QOS)
     graph.until(lambda: title, "the latched title")
     assert title[0].data == "the title"
     assert graph.call(SetBool, "replay/pause", SetBool.Request(data=True)).message == "paused"

@@ -336,7 +336,7 @@ class Logger(AbraceNode):
             fault = "; ".join([*self.complaints.values(), *([fault] if fault else [])])
         return fault, "stopped" if self.writing is None else "paused" if self.paused else "recording", values
 
-    def closing(self) -> None:
+    def close(self) -> None:
         """Take what is still there and close the bag."""
         try:
             if self.writing is not None:

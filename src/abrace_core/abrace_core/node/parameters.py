@@ -6,11 +6,9 @@ import sys
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from ament_index_python.packages import get_package_share_directory
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterException
 from rclpy.node import Node
@@ -172,23 +170,3 @@ def declare(node: Node, table: Sequence[Parameter]) -> SimpleNamespace:
             raise AbraceError(f"parameter {parameter.name}: {value!r}, expected {parameter.expected()}") from error
         setattr(values, parameter.name, value)
     return values
-
-
-def find_file(name: str, package: str, folder: str, ending: str, kind: str) -> Path:
-    """A file by its path, or by its name among those that a package installs.
-
-    Raises
-    ------
-    AbraceError
-        If there is neither; says which names there are.
-    """
-    if name.endswith(ending) or "/" in name:
-        if not Path(name).is_file():
-            raise AbraceError(f"{kind} file {name}: no such file")
-        return Path(name)
-    installed = Path(get_package_share_directory(package)) / folder
-    path = installed / f"{name}{ending}"
-    if not path.is_file():
-        names = ", ".join(sorted(entry.name.removesuffix(ending) for entry in installed.glob(f"*{ending}")))
-        raise AbraceError(f"{kind} {name!r}: unknown, expected a file ending in {ending} or one of {names}")
-    return path

@@ -14,7 +14,7 @@ from std_msgs.msg import Bool
 
 from abrace_core.errors import AbraceError
 from abrace_core.multisine import LINES, repeated_multisine
-from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, AbraceLifecycleNode, Parameter, run
+from abrace_core.node import KEPT_STREAM_QOS, TRANSIENT_LOCAL_QOS, AbraceLifecycleNode, Parameter, run
 from abrace_core.noise import banded_noise
 from abrace_core.safety.sample_watch import SampleWatch
 from abrace_core.wire import Responses, pack_acceleration
@@ -72,7 +72,7 @@ class GroundMotion(AbraceLifecycleNode):
         self.responses = Responses()
         self.publisher = self.publish_on(AccelStamped, "ground_motion", KEPT_STREAM_QOS)
         self.subscribe_to(Response, "response", self.on_response, KEPT_STREAM_QOS, raw=True)
-        self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
+        self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, TRANSIENT_LOCAL_QOS)
         self.server = PlayServer(
             self,
             PlayGroundMotion,
@@ -134,7 +134,7 @@ class GroundMotion(AbraceLifecycleNode):
             self.get_logger().error(str(error))
             self.come_to_rest()
             return
-        if self.watch.take(sequence, stamp) < 0:
+        if self.watch.update(sequence, stamp) < 0:
             self.start_anew(sequence)
         playback = self.playback
         if self.watch.problem and playback is not None and playback.played:

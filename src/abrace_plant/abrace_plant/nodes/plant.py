@@ -12,14 +12,14 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from abrace_core.errors import AbraceError
+from abrace_core.files import find_file
 from abrace_core.node import (
+    DISPLAY_PERIOD,
     KEPT_STREAM_QOS,
-    LATCHED_QOS,
-    LOOK_PERIOD,
     STREAM_QOS,
+    TRANSIENT_LOCAL_QOS,
     AbraceLifecycleNode,
     Parameter,
-    find_file,
     run,
 )
 from abrace_core.wire import BraceCommands, Responses, unpack_acceleration
@@ -73,14 +73,14 @@ class Plant(AbraceLifecycleNode):
         self.floors, self.groups = self.rig.floors, self.rig.groups
         self.response = self.publish_on(Response, "response", KEPT_STREAM_QOS)
         self.joint_states = self.create_publisher(JointState, "joint_states", 10)
-        self.description = self.create_publisher(String, "robot_description", LATCHED_QOS)
+        self.description = self.create_publisher(String, "robot_description", TRANSIENT_LOCAL_QOS)
         self.description.publish(String(data=urdf(self.rig)))
         self.clock_publisher = self.create_publisher(Clock, "/clock", 10) if given.lockstep else None
         self.inputs = {
             COMMAND: self.subscribe_to(BraceCommand, COMMAND, self.on_command, STREAM_QOS, raw=True),
             GROUND: self.subscribe_to(AccelStamped, GROUND, self.on_ground_motion, STREAM_QOS, raw=True),
         }
-        self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
+        self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, TRANSIENT_LOCAL_QOS)
         self.create_service(Trigger, "~/clear_fault", self.on_clear_fault)
         self.responses, self.commands = Responses(), BraceCommands()
         self.joints = JointState(name=list(joint_names(self.rig)))
@@ -116,7 +116,7 @@ class Plant(AbraceLifecycleNode):
             if matched and self.response.get_subscription_count() >= len(self.parameters.wait_for):
                 self.take_sample()
             else:
-                self.due = time.monotonic() + LOOK_PERIOD
+                self.due = time.monotonic() + DISPLAY_PERIOD
         else:
             missing = [name for name in self.parameters.wait_for if not self.loop.answered(name)]
             self.due = None
@@ -151,7 +151,7 @@ class Plant(AbraceLifecycleNode):
         self.response.publish(payload)
         now = time.monotonic()
         if now >= self.next_look:
-            self.next_look = now + LOOK_PERIOD
+            self.next_look = now + DISPLAY_PERIOD
             self.joints.header.stamp = Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
             self.joints.position = reading[:floors]
             self.joint_states.publish(self.joints)
