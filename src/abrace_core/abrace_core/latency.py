@@ -27,8 +27,8 @@ class Latency:
         self._from_receipt: deque[int] = deque(maxlen=WINDOW)
         self._from_stamp: deque[int] = deque(maxlen=WINDOW)
         self.late = 0
-        """Answers so far whose delay after the stamp is more than a sample period longer than that of the answer before,
-        where stamps are of this clock. After an overrun the stamps stay behind the clock: a delay alone says nothing."""
+        """Answers so far whose delay after the stamp is more than a sample period longer than that of the answer
+        before, where stamps are of this clock. After an overrun all stamps stay behind the clock."""
 
     def add(self, from_receipt: int, from_stamp: int) -> None:
         """Add an answer sent `from_receipt` ns after its sample was received and `from_stamp` ns after its stamp."""

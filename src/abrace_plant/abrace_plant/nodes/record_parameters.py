@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from abrace_core.node import Parameter
-from abrace_plant.records.files import UNITS, Record, read_record
+from abrace_plant.records.files import read_record
+from abrace_plant.records.reading import UNITS
+from abrace_plant.records.record import Record
 from abrace_plant.records.treatment import BASELINES, Treatment
 
 NOTHING = Treatment()

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from abrace_plant.records.files import Record
     from abrace_plant.records.intensity import Intensity
+    from abrace_plant.records.record import Record
     from abrace_plant.records.response_spectrum import ResponseSpectrum
 
 RECORDED: dict[str, Any] = {"color": MEASURED, "lw": 1.5}

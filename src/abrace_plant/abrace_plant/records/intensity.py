@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
+from abrace_plant.records.record import check_record
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from abrace_plant.records.files import Record
+    from abrace_plant.records.record import Record
 
 STANDARD_GRAVITY = 9.80665
 """g [m/s^2]."""
@@ -54,32 +54,6 @@ class Intensity:
     def significant_duration(self) -> float:
         """D5-95 [s]."""
         return self.significant_to - self.significant_from
-
-
-def check_motion(motion: Record) -> None:
-    """Refuse a motion that cannot be integrated.
-
-    Parameters
-    ----------
-    motion
-        Recorded or played.
-
-    Raises
-    ------
-    AbraceError
-        If it has less than two samples, one that is not finite, or no sample period.
-    """
-    samples = len(motion.acceleration)
-    if samples < 2:
-        raise AbraceError(f"ground motion {motion.name}: {samples} samples, expected at least 2")
-    finite = np.isfinite(motion.acceleration)
-    if not finite.all():
-        bad = int(np.argmin(finite))
-        raise AbraceError(
-            f"ground motion {motion.name}: sample {bad + 1} is {motion.acceleration[bad]}, expected a finite number"
-        )
-    if not (np.isfinite(motion.sample_period) and motion.sample_period > 0):
-        raise AbraceError(f"ground motion {motion.name}: sample period {motion.sample_period} s, expected more than 0")
 
 
 def integrate(
@@ -139,9 +113,9 @@ def intensity(motion: Record) -> Intensity:
     Raises
     ------
     AbraceError
-        As in `check_motion`.
+        As in `check_record`.
     """
-    check_motion(motion)
+    check_record(motion)
     period = motion.sample_period
     size = np.abs(motion.acceleration)
     velocity, displacement = integrate(motion.acceleration, period)

@@ -14,12 +14,13 @@ import numpy as np
 from scipy import fft, signal
 
 from abrace_core.errors import AbraceError
-from abrace_plant.records.intensity import check_motion, integrate
+from abrace_plant.records.intensity import integrate
+from abrace_plant.records.record import check_record
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from abrace_plant.records.files import Record
+    from abrace_plant.records.record import Record
 
 UNCHANGED = 0.8
 """Share of the band limit at which the motion begins to fade out; at the limit it is gone."""
@@ -111,10 +112,10 @@ def prepare(record: Record, sample_rate: float, treatment: Treatment | None = No
     ------
     AbraceError
         If the treatment does not fit the record: a taper longer than half of it, a low cut beyond what is left, a peak
-        asked of a record of zeros; or as in `intensity.check_motion`.
+        asked of a record of zeros; or as in `check_record`.
     """
     asked = treatment or Treatment()
-    check_motion(record)
+    check_record(record)
     where = f"ground motion {record.name}"
     if not (np.isfinite(sample_rate) and sample_rate > 0):
         raise AbraceError(f"{where}: sample_rate {sample_rate}, expected more than 0")

@@ -80,7 +80,7 @@ def read_knet(file: RecordText) -> Reading:
     values = [factor * file.number(word, line) for word, line in words]
     if not abs(len(values) - duration * frequency) < 0.5:
         raise file.error(f"{len(values)} values, expected {duration:g} s of {frequency:g} Hz as in the header")
-    return checked_reading(values, file.place([line for _, line in words]), unit=unit, sample_period=1 / frequency)
+    return checked_reading(values, file.errors_at([line for _, line in words]), unit=unit, sample_period=1 / frequency)
 
 
 def _knet_entry(file: RecordText, memo: int, label: str) -> tuple[int, str]:
@@ -150,7 +150,7 @@ def read_v2(file: RecordText, channel: str | None) -> Reading:
     following = file.lines[after] if after < len(file.lines) else ""
     if _NUMBERS_ONLY.match(following):
         raise file.error(f"values after the {count} that line {line} states", after + 1)
-    return checked_reading(values, file.place([at for _, at in fields]), unit=unit, sample_period=period)
+    return checked_reading(values, file.errors_at([at for _, at in fields]), unit=unit, sample_period=period)
 
 
 def _blocks(file: RecordText) -> list[_Block]:
