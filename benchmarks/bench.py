@@ -36,7 +36,8 @@ from abrace.campaign import run_campaign
 from abrace.table import Table
 from abrace_bags import read_run
 from abrace_core.controller_file import save_controller
-from abrace_core.files import find_file, write_text
+from abrace_core.files import write_text
+from abrace_core.node import find_file
 from abrace_plant.live.loop import RigLoop
 from abrace_plant.rig.file import load_rig
 
@@ -85,7 +86,7 @@ def plant_step() -> float:
     begin = time.perf_counter()
     for sequence, force in enumerate(forces.tolist()):
         loop.sample()
-        loop.take_command(sequence, [force])
+        loop.receive_command(sequence, [force])
     return 1e6 * (time.perf_counter() - begin) / PLANT_STEPS
 
 

@@ -20,8 +20,8 @@ from n4sid import n4sid_poles
 from simulation import ONE_THREAD
 
 from abrace_core.errors import AbraceError
-from abrace_core.files import find_file
 from abrace_core.linear_model import pole_table
+from abrace_core.node import find_file
 from abrace_core.progress import Progress
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights

@@ -22,7 +22,7 @@ from abrace.report import make_report, worst_peak_rms_error
 from abrace.results import read_results
 from abrace.table import Table
 from abrace_core.controller_file import load_controller
-from abrace_core.files import find_file
+from abrace_core.node import find_file
 from abrace_core.response import TABLE_1_EXPERIMENT
 
 if TYPE_CHECKING:

@@ -24,8 +24,8 @@ from scipy.optimize import least_squares
 from abrace.table import Table
 from abrace_core import signals
 from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, save_figure
-from abrace_core.files import find_file
 from abrace_core.linear_model import LinearModel, pole_table
+from abrace_core.node import find_file
 from abrace_core.response import (
     TABLE_1_EXPERIMENT,
     TABLE_1_SIMULATION,

@@ -12,8 +12,8 @@ import pytest
 
 from abrace.processes import find_executable
 from abrace_core.controller_file import load_controller
-from abrace_core.files import find_file
 from abrace_core.linear_model import save_model
+from abrace_core.node import find_file
 from abrace_plant.rig.file import load_rig
 
 

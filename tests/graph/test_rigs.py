@@ -11,7 +11,7 @@ from rcl_interfaces.srv import SetParameters
 
 from abrace_bags import read_run, read_topics
 from abrace_core.controller_file import Controller, save_controller
-from abrace_core.files import find_file
+from abrace_core.node import find_file
 from abrace_interfaces.msg import Response
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights

@@ -34,8 +34,9 @@ from abrace.processes import ProcessGroup, find_executable
 from abrace_core.controller_file import load_controller
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
-from abrace_core.files import find_file, write_text
+from abrace_core.files import write_text
 from abrace_core.linear_model import pole_table, save_model
+from abrace_core.node import find_file
 from abrace_core.progress import Progress
 from abrace_plant.records.files import record_file
 from abrace_plant.rig.file import load_rig

@@ -70,7 +70,7 @@ def _carry_out(given: argparse.Namespace) -> int:
         print(make_report(given.directory))
         return 0
     from abrace.campaign import run_campaign
-    from abrace_core.files import find_file
+    from abrace_core.node import find_file
 
     name = given.file if given.command == "campaign" else DEMO
     print(make_report(run_campaign(find_file(name, "abrace", "campaigns", ".yaml", "campaign"))))

@@ -57,7 +57,7 @@ class Tally:
         if not self.numbered:
             return
         try:
-            (sequence,) = _SEQUENCE.unpack_from(payload, wire.head(payload).offset)
+            (sequence,) = _SEQUENCE.unpack_from(payload, wire.read_header(payload).offset)
         except (AbraceError, struct.error):
             self.last = None
             return

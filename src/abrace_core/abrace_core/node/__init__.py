@@ -15,6 +15,7 @@ from abrace_core.node.conventions import (
     RCLError,
     rcl_message,
 )
+from abrace_core.node.installed import find_file
 from abrace_core.node.lifecycle import AUTOSTART, AbraceLifecycleNode
 from abrace_core.node.parameters import Parameter, declare
 from abrace_core.node.process import run
@@ -30,6 +31,7 @@ __all__ = [
     "Parameter",
     "RCLError",
     "declare",
+    "find_file",
     "rcl_message",
     "run",
 ]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from abrace_core.errors import AbraceError
-from abrace_core.files import find_file
-from abrace_core.node import AbraceNode, Parameter, run
+from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_lqg.margins.prediction import Excitation
 from abrace_lqg.proof.checks import OBJECTIONS
 from abrace_lqg.proof.files import design_to_file

@@ -11,9 +11,8 @@ import numpy as np
 from abrace_bags import read_run
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
-from abrace_core.files import find_file
 from abrace_core.linear_model import load_model
-from abrace_core.node import AbraceNode, Parameter, run
+from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_core.progress import Progress
 from abrace_lqg.exploration.cluster import cluster
 from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motion

@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 
 from abrace_core.drawing import save_figure
-from abrace_core.files import find_file, write_text
-from abrace_core.node import AbraceNode, Parameter, run
+from abrace_core.files import write_text
+from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_plant.rig import published
 from abrace_plant.rig.characteristics import as_json, characterize, comparison
 from abrace_plant.rig.characteristics_figure import characteristics_figure

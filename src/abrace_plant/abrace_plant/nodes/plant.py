@@ -12,7 +12,6 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from abrace_core.errors import AbraceError
-from abrace_core.files import find_file
 from abrace_core.node import (
     DISPLAY_PERIOD,
     KEPT_STREAM_QOS,
@@ -20,6 +19,7 @@ from abrace_core.node import (
     TRANSIENT_LOCAL_QOS,
     AbraceLifecycleNode,
     Parameter,
+    find_file,
     run,
 )
 from abrace_core.wire import BraceCommands, Responses, unpack_acceleration
@@ -90,7 +90,7 @@ class Plant(AbraceLifecycleNode):
         """Set the rig at rest, before sample 0."""
         given = self.parameters
         self.loop = RigLoop(self.rig, given.seed, given.command_timeout)
-        self.loop.kill_sensors(given.sensor_faults)
+        self.loop.set_sensor_faults(given.sensor_faults)
         start = 0 if given.lockstep else self.get_clock().now().nanoseconds
         self.schedule = Schedule(self.rig.sample_rate, start, time.monotonic(), given.duration)
         self.next_look = 0.0
@@ -129,7 +129,7 @@ class Plant(AbraceLifecycleNode):
     def parameter_changed(self, name: str, value: list[str]) -> None:
         """Channels die or come back, from the next sample on."""
         if self.configured:
-            self.loop.kill_sensors(value)
+            self.loop.set_sensor_faults(value)
 
     def take_sample(self) -> None:
         """Step the rig, publish its response, set when to wake next."""
@@ -173,7 +173,7 @@ class Plant(AbraceLifecycleNode):
         """A command answers a sample."""
         if self.active:
             try:
-                self.loop.take_command(*self.commands.unpack(payload))
+                self.loop.receive_command(*self.commands.unpack(payload))
             except AbraceError as error:
                 self.loop.fault(str(error))
             self.move_on()
@@ -183,7 +183,7 @@ class Plant(AbraceLifecycleNode):
         if self.active:
             try:
                 stamp, acceleration = unpack_acceleration(payload)
-                self.loop.take_ground_acceleration(self.schedule.sequence(stamp), acceleration)
+                self.loop.receive_ground_acceleration(self.schedule.sequence(stamp), acceleration)
             except AbraceError as error:
                 self.loop.fault(str(error))
             self.move_on()
@@ -222,8 +222,8 @@ class Plant(AbraceLifecycleNode):
             return None, "not configured", {}
         values: dict[str, object] = {
             "sequence": self.loop.sequence,
-            "behind": self.schedule.behind,
-            "held_up": round(self.schedule.held_up, 3),
+            "behind": self.schedule.overruns,
+            "held_up": round(self.schedule.shift, 3),
             **self.loop.counters(),
         }
         return self.loop.fault_reason, "running" if self.active else "not active", values

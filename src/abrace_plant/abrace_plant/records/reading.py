@@ -151,7 +151,7 @@ class RecordText:
         return record_error(self.name, message, f"line {line}" if line else "")
 
     def errors_at(self, lines: Sequence[int]) -> Callable[[str, int | None], AbraceError]:
-        """The `error_at` of `checked_reading`, given each sample's line."""
+        """The `error_at` of `checked_reading` for samples that are in these `lines`."""
         return lambda message, sample: self.error(message, None if sample is None else lines[sample])
 
     def content(self) -> list[tuple[int, str]]:
