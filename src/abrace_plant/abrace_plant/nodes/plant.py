@@ -1,4 +1,4 @@
-"""The node `plant`: a simulated rig that publishes and takes exactly what the real one does."""
+"""The node `plant`: a simulated rig with exactly the topics of the real one."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ from abrace_plant.rig.robot_description import joint_names, urdf
 
 PARAMETERS = [
     Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
-    Parameter(
-        "disconnected_braces", [], "brace groups taken off the building (1 the first); all: bare frame", element=int
-    ),
+    Parameter("disconnected_braces", [], "disconnected brace groups (1 the first); all: bare frame", element=int),
     Parameter("seed", 0, "seed of the sensor noise", minimum=0),
     Parameter(
         "sensor_faults",
         [],
-        "channels that are dead, as a2=stuck, x3=zero, f=noise@20.0 (from second 20 on)",
+        "failed channels, as a2=stuck, x3=zero, f=noise@20.0 (from second 20 on)",
         element=str,
         live=True,
     ),
     Parameter("duration", 0.0, "seconds to run, then end; 0: until stopped", minimum=0.0),
-    Parameter("command_timeout", 0.02, "seconds that an input may stay away while it is not zero", minimum=0.002),
-    Parameter("lockstep", False, "move on as soon as every input of wait_for has answered, not by the clock"),
+    Parameter(
+        "command_timeout", 0.02, "seconds without an input, while it is not zero, that are a fault", minimum=0.002
+    ),
+    Parameter("lockstep", False, "sample as soon as every input of wait_for has answered, not by the clock"),
     Parameter(
         "wait_for",
         [COMMAND],
-        "inputs that answer every sample in lockstep",
+        "inputs whose answers lockstep waits for",
         choices=(COMMAND, GROUND),
         required=True,
     ),
@@ -66,7 +66,7 @@ class Plant(AbraceLifecycleNode):
         super().__init__("plant", PARAMETERS)
 
     def configure(self) -> None:
-        """Load the rig and make the topics."""
+        """Load the rig and create the topics."""
         given = self.parameters
         rig = load_rig(find_file(given.rig, "abrace_plant", "config", ".yaml", "rig"))
         self.rig = rig.disconnect(given.disconnected_braces)
@@ -87,13 +87,13 @@ class Plant(AbraceLifecycleNode):
         self.start()
 
     def start(self) -> None:
-        """Set the rig at rest, before sample 0."""
+        """Reset the rig to rest, before sample 0."""
         given = self.parameters
         self.loop = RigLoop(self.rig, given.seed, given.command_timeout)
         self.loop.set_sensor_faults(given.sensor_faults)
         start = 0 if given.lockstep else self.get_clock().now().nanoseconds
         self.schedule = Schedule(self.rig.sample_rate, start, time.monotonic(), given.duration)
-        self.next_look = 0.0
+        self.next_display = 0.0
 
     def activate(self) -> None:
         """Start at sample 0; a fault stays latched."""
@@ -108,7 +108,7 @@ class Plant(AbraceLifecycleNode):
         self.due = None
 
     def tick(self) -> None:
-        """The next sample is due, or in lockstep: an answer is overdue."""
+        """Take the sample that is due; in lockstep the first one, or end because an answer is missing."""
         if not self.parameters.lockstep:
             self.take_sample()
         elif self.loop.sequence < 0:
@@ -127,12 +127,12 @@ class Plant(AbraceLifecycleNode):
             )
 
     def parameter_changed(self, name: str, value: list[str]) -> None:
-        """Channels die or come back, from the next sample on."""
+        """Apply new sensor faults from the next sample on."""
         if self.configured:
             self.loop.set_sensor_faults(value)
 
     def take_sample(self) -> None:
-        """Step the rig, publish its response, set when to wake next."""
+        """Step the rig, publish its response, set when the next sample is due."""
         sample = self.loop.sample()
         if sample.sequence == 0:
             self.began = time.monotonic()
@@ -150,8 +150,8 @@ class Plant(AbraceLifecycleNode):
         )
         self.response.publish(payload)
         now = time.monotonic()
-        if now >= self.next_look:
-            self.next_look = now + DISPLAY_PERIOD
+        if now >= self.next_display:
+            self.next_display = now + DISPLAY_PERIOD
             self.joints.header.stamp = Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
             self.joints.position = reading[:floors]
             self.joint_states.publish(self.joints)
@@ -165,31 +165,31 @@ class Plant(AbraceLifecycleNode):
             self.due = self.schedule.next_due(sample.sequence, now)
 
     def end(self, now: float) -> None:
-        """The run is over: the last sample has been taken, in lockstep also answered."""
+        """End the run after the last sample, in lockstep after its answers."""
         self.due = None
         self.finish(0, f"done: {self.loop.sequence + 1} samples in {now - self.began:.2f} s")
 
     def on_command(self, payload: bytes) -> None:
-        """A command answers a sample."""
+        """Accept a command."""
         if self.active:
             try:
                 self.loop.receive_command(*self.commands.unpack(payload))
             except AbraceError as error:
                 self.loop.fault(str(error))
-            self.move_on()
+            self.advance()
 
     def on_ground_motion(self, payload: bytes) -> None:
-        """A ground acceleration answers a sample."""
+        """Accept a ground acceleration."""
         if self.active:
             try:
                 stamp, acceleration = unpack_acceleration(payload)
                 self.loop.receive_ground_acceleration(self.schedule.sequence(stamp), acceleration)
             except AbraceError as error:
                 self.loop.fault(str(error))
-            self.move_on()
+            self.advance()
 
-    def move_on(self) -> None:
-        """In lockstep: take the next sample when everything that is waited for has answered."""
+    def advance(self) -> None:
+        """In lockstep, take the next sample once every input of `wait_for` has answered."""
         if self.parameters.lockstep and self.due is not None and self.exit_code is None:
             for name in self.parameters.wait_for:
                 if not self.loop.answered(name):
@@ -200,13 +200,13 @@ class Plant(AbraceLifecycleNode):
                 self.take_sample()
 
     def on_emergency_stop(self, message: Bool) -> None:
-        """Someone pressed the button, or released it."""
+        """The emergency stop is pressed or released."""
         self.pressed = message.data
         if self.pressed:
             self.loop.fault("emergency stop")
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """A person clears the latched fault."""
+        """Clear the latched fault."""
         reason = self.loop.fault_reason
         response.success = reason is not None and not self.pressed
         if response.success:

@@ -1,4 +1,4 @@
-"""The node `record`: a record's intensity measures and response spectra, as read and as it would be played."""
+"""The node `record`: intensity measures and response spectra of a record, as read and as played."""
 
 from __future__ import annotations
 
