@@ -1,4 +1,4 @@
-"""YAML files that people write: read, checked key by key, and refused with one clear line."""
+"""YAML files that users write, read and checked key by key; a mistake gives a one-line error."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Checked(pydantic.BaseModel):
 
 
 class _UniqueKeys(yaml.SafeLoader):
-    """YAML whose mappings have each key once; plain YAML lets the last one win in silence."""
+    """YAML in which a duplicate key is an error; by default the last one silently wins."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
@@ -53,7 +53,7 @@ def read_config(path: Path | str, schema: type[Schema], kind: str) -> Schema:
     try:
         return schema.model_validate(content)
     except pydantic.ValidationError as error:
-        # a misspelt key is both unknown and missing: the first says more
+        # a misspelt key is both unknown and missing: report it as unknown
         first = min(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] == "extra_forbidden":

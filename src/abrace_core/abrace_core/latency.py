@@ -43,12 +43,7 @@ class Latency:
         found: dict[str, object] = {"late": self.late}
         for name, times in (("answer", self._from_receipt), ("stamp_to_command", self._from_stamp)):
             if times:
-                middle, most, worst = np.percentile(times, [50, 99, 100]) / 1e3
-                found.update(
-                    {
-                        f"{name}_median_us": round(middle),
-                        f"{name}_99_percent_us": round(most),
-                        f"{name}_worst_us": round(worst),
-                    }
-                )
+                values = np.percentile(times, [50, 99, 100]) / 1e3
+                for statistic, value in zip(("median", "99_percent", "worst"), values, strict=True):
+                    found[f"{name}_{statistic}_us"] = round(value)
         return found

@@ -41,10 +41,8 @@ class BraceCommander(AbraceLifecycleNode):
     def __init__(self, name: str, table: Sequence[Parameter]) -> None:
         super().__init__(name, [*table, RATE_LIMIT])
 
-    def configure_commands(
-        self, sample_period: float, force_limit: Sequence[float], longest_gap: int = LONGEST_GAP
-    ) -> None:
-        """Create the command guard, topics and the service; the subclass's `configure` calls it.
+    def create_topics(self, sample_period: float, force_limit: Sequence[float], longest_gap: int = LONGEST_GAP) -> None:
+        """Create the topics, the service and their command guard; the subclass's `configure` calls it.
 
         `sample_period` [s]; `force_limit` [N] of each group; more than `longest_gap` samples lost in a row are a fault.
         """

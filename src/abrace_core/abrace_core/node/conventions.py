@@ -1,4 +1,4 @@
-"""What every node does alike: QoS, parameters that may change, diagnostics, the end of the process."""
+"""What all nodes share: QoS, live parameters, diagnostics, the end of the process."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ class AbraceNode(Node):
         self._diagnostics.publish(array)
 
     def tick(self) -> None:
-        """Override to act when `due` has come."""
+        """Override; called when `due` has passed."""
 
     def finish(self, exit_code: int, message: str) -> None:
         """End the process after this callback."""

@@ -12,16 +12,8 @@ from abrace_core.errors import AbraceError
 def find_file(name: str, package: str, folder: str, ending: str, kind: str) -> Path:
     """A file by its path, or by its name among the files that a package installs.
 
-    Parameters
-    ----------
-    name
-        A path, with a "/" or the ending, or the name of an installed file without its ending.
-    package, folder
-        Where the installed files are: a folder in the package's share directory.
-    ending
-        Of the installed files, such as ".yaml".
-    kind
-        What the error calls such a file.
+    A path has a "/" or the `ending`. Installed files are in a `folder` of the package's share directory; errors call
+    them a `kind`.
 
     Raises
     ------

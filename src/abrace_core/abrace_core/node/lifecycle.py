@@ -17,14 +17,8 @@ AUTOSTART = Parameter("autostart", True, "configure and activate at once; false:
 class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
     """A node that can move something: it does so only while active.
 
-    Subclasses implement `configure`, `activate` and `deactivate`; an AbraceError in them refuses the transition.
-
-    Parameters
-    ----------
-    name
-        The node's name.
-    table
-        Its parameters besides `autostart`.
+    Subclasses implement `configure`, `activate` and `deactivate`; an AbraceError in them refuses the transition. Their
+    table of parameters is without `autostart`.
     """
 
     configured = False

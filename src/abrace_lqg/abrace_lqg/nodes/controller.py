@@ -57,7 +57,7 @@ class Controller(BraceCommander):
         if given.next:
             controller = load_controller(given.next)
         self.law = ActiveController(controller, given.ramp_time)
-        self.configure_commands(controller.law.sample_period, controller.force_limit.tolist(), given.max_lost)
+        self.create_topics(controller.law.sample_period, controller.force_limit.tolist(), given.max_lost)
 
     def parameter_changed(self, name: str, value: Any) -> None:
         """Another controller takes over."""

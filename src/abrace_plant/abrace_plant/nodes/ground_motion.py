@@ -36,9 +36,7 @@ PARAMETERS = [
     Parameter("rms", 0.25, "m/s^2, of white noise or a multisine of the given duration", minimum=0.0),
     Parameter("band", [0.0, 10.0], "Hz, of white noise or a multisine", minimum=0.0),
     Parameter("seed", 1, "of white noise or a multisine", minimum=0),
-    Parameter(
-        "period", 32.768, "s, of a multisine; whole periods are played, as many as fit in duration", minimum=0.01
-    ),
+    Parameter("period", 32.768, "s, of a multisine; whole periods that fit in duration are played", minimum=0.01),
     Parameter("lines", "odd", "frequency lines of a multisine; orthogonal to a command on other lines", choices=LINES),
     Parameter("slope", 0.0, "of a multisine: power of the frequency with which amplitudes grow"),
 ]

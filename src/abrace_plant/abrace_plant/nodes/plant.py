@@ -12,16 +12,8 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from abrace_core.errors import AbraceError
-from abrace_core.node import (
-    DISPLAY_PERIOD,
-    KEPT_STREAM_QOS,
-    STREAM_QOS,
-    TRANSIENT_LOCAL_QOS,
-    AbraceLifecycleNode,
-    Parameter,
-    find_file,
-    run,
-)
+from abrace_core.node import AbraceLifecycleNode, Parameter, find_file, run
+from abrace_core.node.conventions import DISPLAY_PERIOD, KEPT_STREAM_QOS, STREAM_QOS, TRANSIENT_LOCAL_QOS
 from abrace_core.wire import BraceCommands, Responses, unpack_acceleration
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_plant.live.loop import COMMAND, GROUND, RigLoop
@@ -41,9 +33,7 @@ PARAMETERS = [
         live=True,
     ),
     Parameter("duration", 0.0, "seconds to run, then end; 0: until stopped", minimum=0.0),
-    Parameter(
-        "command_timeout", 0.02, "seconds without an input, while it is not zero, that are a fault", minimum=0.002
-    ),
+    Parameter("command_timeout", 0.02, "seconds that an input may be missing while it is not zero", minimum=0.002),
     Parameter("lockstep", False, "sample as soon as every input of wait_for has answered, not by the clock"),
     Parameter(
         "wait_for",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 from abrace_core.node import Parameter
@@ -17,21 +18,12 @@ RECORD_PARAMETERS = [
     Parameter("unit", "", "unit of the acceleration, for a file that does not state it", choices=(*UNITS, "")),
     Parameter("record_sample_period", 0.0, "s, for a file without times", minimum=0.0),
     Parameter("channel", "", "which of several in a file: column, variable, channel number, or topic:field of a bag"),
-    Parameter(
-        "baseline", DEFAULT.baseline, "polynomial removed from a record's acceleration", choices=tuple(BASELINES)
-    ),
-    Parameter(
-        "time_scale", DEFAULT.time_scale, "duration as played over that of the record; 1.0: as recorded", minimum=0.001
-    ),
+    Parameter("baseline", DEFAULT.baseline, "polynomial removed from an acceleration", choices=tuple(BASELINES)),
+    Parameter("time_scale", DEFAULT.time_scale, "played duration over the record's; 1.0: as recorded", minimum=0.001),
     Parameter("taper", DEFAULT.taper, "s, length of a linear taper at each end of a record; 0.0: none", minimum=0.0),
     Parameter("low_cut", DEFAULT.low_cut, "Hz, high-pass filter of a record; 0.0: none", minimum=0.0),
     Parameter("band_limit", 25.0, "Hz, low-pass filter of a record; 0.0: none", minimum=0.0),
-    Parameter(
-        "peak_acceleration",
-        DEFAULT.peak_acceleration,
-        "m/s^2, PGA to which a motion is scaled; 0.0: as recorded",
-        minimum=0.0,
-    ),
+    Parameter("peak_acceleration", DEFAULT.peak_acceleration, "m/s^2, PGA of a motion; 0.0: as recorded", minimum=0.0),
     Parameter("duration", DEFAULT.duration, "s to which a record is padded or cut; 0.0: whole", minimum=0.0),
 ]
 """All but the parameter `record`, which each node describes itself."""
@@ -58,12 +50,4 @@ def treatment_as_given(given: Any) -> Treatment:
     given
         Values of `RECORD_PARAMETERS`.
     """
-    return Treatment(
-        baseline=given.baseline,
-        time_scale=given.time_scale,
-        taper=given.taper,
-        low_cut=given.low_cut,
-        band_limit=given.band_limit,
-        peak_acceleration=given.peak_acceleration,
-        duration=given.duration,
-    )
+    return Treatment(**{field.name: getattr(given, field.name) for field in fields(Treatment)})

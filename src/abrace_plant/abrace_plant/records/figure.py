@@ -32,7 +32,7 @@ Motion = tuple["Record", "Intensity", "ResponseSpectrum"]
 
 
 def record_figure(recorded: Motion, played: Motion) -> Figure:
-    """A record beside the motion that is played of it.
+    """A record and the motion that is played of it, in one figure.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Velocity, displacement and intensity measures of a recorded or played ground motion.
 
 The acceleration is taken to be linear between samples, from rest at the first. Velocity and displacement are the exact
-integrals of that. The integrals of a^2 and |a| are taken by the trapezoidal rule, which for a^2 is exact for a motion
-that its sample rate holds, but for its ends.
+integrals of that. The integrals of a^2 and |a| are by the trapezoidal rule, which for a^2 of a band-limited motion is
+exact but for the ends.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Intensity:
     cumulative_absolute_velocity
         CAV, the integral of the absolute acceleration [m/s] (EPRI NP-5930, 1988).
     significant_from, significant_to
-        When 5 % and 95 % of the Arias intensity have come, in seconds after the first sample (Trifunac and Brady,
+        Times after the first sample at which 5 % and 95 % of the Arias intensity are reached [s] (Trifunac and Brady,
         1975).
     """
 
@@ -133,7 +133,7 @@ def intensity(motion: Record) -> Intensity:
 
 
 def _moment(built_up: NDArray[np.float64], share: float, period: float) -> float:
-    """When a share of the whole has come [s], straight between samples; 0 where nothing comes."""
+    """Time at which a share of the build-up is reached [s], interpolated linearly; 0 for a motion of zeros."""
     level = share * built_up[-1]
     after = int(np.argmax(built_up >= level))
     if after == 0:

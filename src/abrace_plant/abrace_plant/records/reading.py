@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 UNITS = {"g": 9.80665, "m/s^2": 1.0, "cm/s^2": 0.01}
-"""Units of acceleration that a person may name, in m/s^2."""
+"""Units of acceleration, in m/s^2."""
 
 _SPELLINGS = {
     "g": ("g",),
@@ -29,10 +29,10 @@ _SPELLINGS = {
         *("gal", "gals"),
     ),
 }
-"""How headers of files spell the units, capital letters and spaces apart."""
+"""Spellings of the units in headers of files, without capital letters and spaces."""
 
 TIME_TOLERANCE = 0.02
-"""How far printed times may lie from equal steps, in steps (a missing sample is half a step off, or more)."""
+"""Greatest deviation of printed times from equal steps, in steps (that of a missing sample is at least half a step)."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def unit_named(spelling: str) -> str | None:
 
 
 def record_error(name: str, message: str, where: str = "") -> AbraceError:
-    """An error about the record of this name, where in it (`line 3`), and the message that says what is wrong."""
+    """An error with this message about the record of this name, and where in it, as `line 3`."""
     return AbraceError(f"ground motion {name}{where and ', '}{where}: {message}")
 
 

@@ -1,9 +1,9 @@
-"""Readers of what strong-motion networks hand out: K-NET and KiK-net, CSMIP volume 2, COSMOS V2.
+"""Readers of the formats of strong-motion networks: K-NET and KiK-net, CSMIP volume 2, COSMOS V2.
 
 - `.ew`, `.ns`, `.ud`, and with a 1 (borehole) or 2 (surface) behind: K-NET and KiK-net ASCII. A header of 17 lines,
   then counts of the digitiser; the scale factor in the header, `3920(gal)/6182761`, makes them gal (cm/s^2). The counts
   hold the sensor's offset, which stays in the acceleration.
-- `.v2`, `.v2c`: CSMIP and COSMOS. A line with the number of points and the unit stands before each block of numbers,
+- `.v2`, `.v2c`: CSMIP and COSMOS. A line with the number of points and the unit precedes each block of numbers,
   which are Fortran's: in columns of a stated width (CSMIP's older files state none: 8F10), so that neighbours may
   touch. Velocity, displacement and the rest of the headers are passed over. COSMOS gives the period in its real header:
   value 62 [ms], that of the series, before value 34 [s], that of the recorder. A unit code (COSMOS table 2) must agree
@@ -98,7 +98,7 @@ def _knet_number(file: RecordText, memo: int, label: str) -> tuple[int, float]:
 
 @dataclass(frozen=True)
 class _Block:
-    """A block of accelerations: its channel, and what the line before its numbers says (`index` from 0)."""
+    """A block of accelerations: its channel, and the line (`index`, from 0) that describes it."""
 
     channel: int
     label: str

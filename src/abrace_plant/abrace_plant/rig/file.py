@@ -146,17 +146,10 @@ def _rig(content: _Rig) -> Rig:
     rig = Rig(
         name=content.name,
         sample_rate=content.sample_rate,
-        table=Table(**content.table.model_dump()),
+        table=Table(**dict(content.table)),
         building=Building(masses, stiffness, damping),
         braces=tuple(
-            BraceGroup(
-                group.floor,
-                group.count,
-                group.cosine,
-                group.stiffener_stiffness,
-                Actuator(**group.actuator.model_dump()),
-            )
-            for group in content.braces
+            BraceGroup(**dict(group) | {"actuator": Actuator(**dict(group.actuator))}) for group in content.braces
         ),
         local_modes=tuple(
             LocalMode(
@@ -168,7 +161,7 @@ def _rig(content: _Rig) -> Rig:
             )
             for mode in content.local_modes
         ),
-        sensors=SensorSet(**{key: Sensor(**value) for key, value in content.sensors.model_dump().items()}),
+        sensors=SensorSet(**{kind: Sensor(**dict(sensor)) for kind, sensor in content.sensors}),
         storey_height=content.building.storey_height,
     )
     check_units(rig, stated_stiffness, stated_damping)
