@@ -86,7 +86,7 @@ def plant_step() -> float:
     begin = time.perf_counter()
     for sequence, force in enumerate(forces.tolist()):
         loop.sample()
-        loop.take_command(sequence, [force])
+        loop.receive_command(sequence, [force])
     return 1e6 * (time.perf_counter() - begin) / PLANT_STEPS
 
 

@@ -93,7 +93,7 @@ def step_us(controller: Controller) -> float:
         begin = time.perf_counter()
         for payload in payloads:
             stamp, sequence, z = responses.unpack(payload)
-            lost = watch.take(sequence, stamp)
+            lost = watch.update(sequence, stamp)
             force = guard.check(active.force(z, max(lost, 0))).tolist()
             commands.pack(stamp, sequence, force)
             active.advance(force)

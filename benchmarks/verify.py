@@ -27,8 +27,9 @@ from claims import Claim, claim_table
 
 from abrace.report.table import Table
 from abrace_core.files import write_text
-from abrace_plant.records.files import Record, read_record
+from abrace_plant.records.files import read_record
 from abrace_plant.records.intensity import STANDARD_GRAVITY, intensity
+from abrace_plant.records.record import Record
 from abrace_plant.records.response_spectrum import response_spectrum
 from abrace_plant.records.treatment import prepare
 from abrace_plant.rig import published

@@ -200,7 +200,7 @@ def test_the_force_is_told_and_goes_on_from_zero_for_a_rig_that_has_begun_anew()
     for _ in range(3):
         guarded.check(np.array([15_000.0]))
     assert guarded.force.tolist() == [15_000.0]
-    guarded.rest()
+    guarded.reset_force()
     assert guarded.force.tolist() == [0.0]
     assert guarded.check(None).tolist() == [0.0], "no command of the rig before"
     assert guarded.check(np.array([15_000.0])).tolist() == [5e6 * PERIOD], "at the rate limit"
@@ -212,5 +212,5 @@ def test_a_rig_that_begins_anew_during_a_fault_is_at_rest_and_stays_so():
         guarded.check(np.array([15_000.0]))
     guarded.fault("test")
     guarded.check(None)
-    guarded.rest()
+    guarded.reset_force()
     assert not any(guarded.check(np.array([15_000.0])).any() for _ in range(300))

@@ -68,7 +68,7 @@ def test_nothing_is_imported_or_compiled_before_the_first_call(tmp_path):
     assert printed(start(tmp_path, code)) == "False"
 
 
-def test_result_of_the_compiler_is_kept_beside_the_source(tmp_path):
+def test_result_of_the_compiler_is_cached_next_to_the_source(tmp_path):
     assert printed(start(tmp_path)) == EXPECTED
     (index,) = (tmp_path / "__pycache__").glob("loop.leaky_sum*.nbi")
     before = index.stat().st_mtime_ns

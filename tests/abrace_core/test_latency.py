@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abrace_core.latency import REMEMBERED, Latency
+from abrace_core.latency import WINDOW, Latency
 
 MS = 1_000_000
 
@@ -10,7 +10,7 @@ MS = 1_000_000
 def test_median_99_percent_and_worst_are_those_of_the_times():
     latency = Latency(0.002)
     for k in range(1, 101):
-        latency.take(1000 * k, 2000 * k)
+        latency.add(1000 * k, 2000 * k)
     report = latency.report()
     assert (report["answer_median_us"], report["answer_99_percent_us"], report["answer_worst_us"]) == (50, 99, 100)
     assert (report["stamp_to_command_median_us"], report["stamp_to_command_worst_us"]) == (101, 200)
@@ -20,14 +20,14 @@ def test_median_99_percent_and_worst_are_those_of_the_times():
 def test_answers_that_fall_behind_by_more_than_a_sample_period_are_late():
     latency = Latency(0.002)
     for age in (100, 101, 102, 104, 109, 107, 105, 100, 103):
-        latency.take(1000, age * MS)
+        latency.add(1000, age * MS)
     assert latency.report()["late"] == 2, "the one of 109 and the one of 103 ms; stamps may be behind the clock"
 
 
 def test_stamps_of_another_clock_tell_nothing():
     latency = Latency(0.002)
-    latency.take(1000, 1_700_000_000 * 10**9)
-    latency.take(1000, -5 * MS)
+    latency.add(1000, 1_700_000_000 * 10**9)
+    latency.add(1000, -5 * MS)
     report = latency.report()
     assert report["late"] == 0
     assert not any(key.startswith("stamp") for key in report)
@@ -39,8 +39,8 @@ def test_before_the_first_sample_there_is_nothing_to_report():
 
 def test_what_was_long_ago_is_forgotten_but_the_count():
     latency = Latency(0.002)
-    latency.take(1000, 1000)
-    latency.take(90 * MS, 90 * MS)
-    for _ in range(REMEMBERED):
-        latency.take(1000, 1000)
+    latency.add(1000, 1000)
+    latency.add(90 * MS, 90 * MS)
+    for _ in range(WINDOW):
+        latency.add(1000, 1000)
     assert (latency.report()["answer_worst_us"], latency.report()["late"]) == (1, 1)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 
 from abrace_core.errors import AbraceError
-from abrace_core.wire import BraceCommands, Responses, head, pack_acceleration, unpack_acceleration
+from abrace_core.wire import BraceCommands, Responses, pack_acceleration, read_header, unpack_acceleration
 from abrace_interfaces.msg import BraceCommand, Response
 
 finite = st.floats(allow_nan=False, width=64)
@@ -119,4 +119,4 @@ def test_arrays_that_do_not_belong_together_are_refused():
 
 def test_big_endian_messages_are_refused():
     with pytest.raises(AbraceError, match="little-endian"):
-        head(b"\0\0" + pack_acceleration(1, 2.0)[2:])
+        read_header(b"\0\0" + pack_acceleration(1, 2.0)[2:])

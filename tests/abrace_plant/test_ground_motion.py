@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from abrace_core.errors import AbraceError
-from abrace_plant.records.files import Record, read_record
+from abrace_plant.records.files import read_record
 from abrace_plant.records.intensity import integrate
+from abrace_plant.records.record import Record
 from abrace_plant.records.treatment import BASELINES, FADE, Treatment, prepare, without_baseline
 
 G = 9.80665

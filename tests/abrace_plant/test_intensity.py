@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from abrace_core.errors import AbraceError
-from abrace_plant.records.files import Record, read_record
+from abrace_plant.records.files import read_record
 from abrace_plant.records.intensity import STANDARD_GRAVITY, husid, integrate, intensity
+from abrace_plant.records.record import Record
 
 EQSIG_GRAVITY = 9.81
 

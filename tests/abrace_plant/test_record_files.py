@@ -15,8 +15,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from abrace_bags import BagWriter
 from abrace_core.errors import AbraceError
-from abrace_plant.records.files import KNOWN_RECORDS, UNITS, Record, read_record
-from abrace_plant.records.reading import unit_named
+from abrace_plant.records.files import KNOWN_RECORDS, read_record
+from abrace_plant.records.reading import UNITS, unit_named
+from abrace_plant.records.record import Record
 
 G = 9.80665
 KOBE = Path(__file__).parents[3] / "shared" / "ground_motions" / "RSN1106_KOBE_KJM000.AT2"

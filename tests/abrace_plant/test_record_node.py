@@ -10,8 +10,9 @@ import pytest
 
 from abrace_core.drawing import save_figure
 from abrace_plant.records.figure import record_figure
-from abrace_plant.records.files import Record, read_record
+from abrace_plant.records.files import read_record
 from abrace_plant.records.intensity import intensity
+from abrace_plant.records.record import Record
 from abrace_plant.records.response_spectrum import response_spectrum
 
 

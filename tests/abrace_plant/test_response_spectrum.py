@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from abrace_core.errors import AbraceError
-from abrace_plant.records.files import Record, read_record
+from abrace_plant.records.files import read_record
+from abrace_plant.records.record import Record
 from abrace_plant.records.response_spectrum import STEPS_PER_PERIOD, response_spectrum
 
 BETWEEN = 1 / np.cos(np.pi / 6) - 1

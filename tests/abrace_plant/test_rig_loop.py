@@ -30,9 +30,9 @@ def drive(loop: RigLoop, forces, ground=None) -> np.ndarray:
         sample = loop.sample()
         commands.append(sample.command[0])
         if force is not None:
-            loop.take_command(sample.sequence, [force])
+            loop.receive_command(sample.sequence, [force])
         if ground is not None:
-            loop.take_ground_acceleration(sample.sequence, ground[k])
+            loop.receive_ground_acceleration(sample.sequence, ground[k])
     return np.array(commands)
 
 
@@ -50,8 +50,8 @@ def test_readings_are_the_rigs_exact_motion_within_the_sensors_noise(rig):
     for force, acceleration in zip(forces, ground, strict=True):
         sample = loop.sample()
         readings.append(sample.reading)
-        loop.take_command(sample.sequence, [force])
-        loop.take_ground_acceleration(sample.sequence, acceleration)
+        loop.receive_command(sample.sequence, [force])
+        loop.receive_ground_acceleration(sample.sequence, acceleration)
     inputs = np.column_stack([[0, *ground[:-1]], [0, *forces[:-1]]])
     exact = np.column_stack([simulate(rig.discrete_model(), inputs), inputs[:, 0]])
     channels = rig.sensors.channels(rig.floors, rig.groups)
@@ -64,14 +64,14 @@ def test_the_same_seed_and_inputs_give_the_same_readings(rig):
     for k in range(50):
         np.testing.assert_array_equal(one.sample().reading, two.sample().reading)
         for loop in (one, two):
-            loop.take_command(k, [50.0 * k])
+            loop.receive_command(k, [50.0 * k])
 
 
 def test_an_answer_says_which_sample_it_answers(rig):
     loop = loop_of(rig)
     loop.sample()
     assert not loop.answered(COMMAND)
-    loop.take_command(0, [1.0])
+    loop.receive_command(0, [1.0])
     assert loop.answered(COMMAND)
     assert not loop.answered(GROUND)
     loop.sample()
@@ -81,8 +81,8 @@ def test_an_answer_says_which_sample_it_answers(rig):
 def test_old_and_future_answers_are_counted_and_do_not_act(rig):
     loop = loop_of(rig)
     drive(loop, [0.0] * 5)
-    loop.take_command(99, [1000.0])
-    loop.take_command(2, [1000.0])
+    loop.receive_command(99, [1000.0])
+    loop.receive_command(2, [1000.0])
     drive(loop, [None] * 3)
     assert loop.counters()["late_commands"] >= 2
     assert not loop.sample().command.any()
@@ -93,7 +93,7 @@ def test_a_bad_command_is_a_latched_fault(rig, bad):
     loop = loop_of(rig)
     drive(loop, [2000.0] * 20)
     loop.sample()
-    loop.take_command(loop.sequence, bad)
+    loop.receive_command(loop.sequence, bad)
     drive(loop, [2000.0] * round(RAMP_TIME * 500 + 5))
     assert loop.fault_reason
     assert not loop.sample().command.any()
@@ -102,8 +102,8 @@ def test_a_bad_command_is_a_latched_fault(rig, bad):
 def test_two_answers_to_a_sample_are_a_fault(rig):
     loop = loop_of(rig)
     loop.sample()
-    loop.take_command(0, [1.0])
-    loop.take_command(0, [1.0])
+    loop.receive_command(0, [1.0])
+    loop.receive_command(0, [1.0])
     assert "one sender was expected" in loop.fault_reason
 
 
@@ -155,7 +155,7 @@ def test_the_force_is_finite_within_capacity_and_rate_whatever_comes(rig, forces
         commands.append(sample.command[0])
         assert np.isfinite(sample.reading).all()
         if force is not None:
-            loop.take_command(k, [force])
+            loop.receive_command(k, [force])
         if k == stop:
             loop.fault("emergency stop")
     capacity, step = rig.capacity[0], rig.rate_limit[0] / rig.sample_rate

@@ -12,7 +12,7 @@ def test_stamps_and_sequences_belong_together():
         assert schedule.sequence(schedule.stamp(k)) == k
 
 
-def test_rounding_does_not_add_up_where_the_period_is_no_whole_number_of_nanoseconds():
+def test_rounding_does_not_accumulate_where_the_period_is_no_whole_number_of_nanoseconds():
     schedule = Schedule(300.0, 0, 0.0, 0.0)
     assert schedule.stamp(300 * 3600) == 3600 * 10**9
     assert all(schedule.sequence(schedule.stamp(k)) == k for k in range(1000))
@@ -22,20 +22,20 @@ def test_due_times_are_counted_from_the_start():
     schedule = Schedule(500.0, 0, 100.0, 0.0)
     assert schedule.next_due(0, 100.0001) == pytest.approx(100.002, abs=1e-12)
     assert schedule.next_due(499_999, 1099.9991) == pytest.approx(1100.0, abs=1e-9)
-    assert schedule.behind == 0
+    assert schedule.overruns == 0
 
 
-def test_a_short_delay_is_made_up_for_and_counted():
+def test_a_short_overrun_is_caught_up_and_counted():
     schedule = Schedule(500.0, 0, 0.0, 0.0)
     assert schedule.next_due(0, 0.002 + LONGEST_CATCH_UP / 2) == pytest.approx(0.002)
-    assert schedule.behind == 1
-    assert schedule.held_up == 0
+    assert schedule.overruns == 1
+    assert schedule.shift == 0
 
 
-def test_a_long_delay_is_not_made_up_for():
+def test_a_long_overrun_shifts_the_schedule():
     schedule = Schedule(500.0, 0, 0.0, 0.0)
     assert schedule.next_due(0, 1.0) == 1.0
-    assert schedule.held_up == pytest.approx(0.998)
+    assert schedule.shift == pytest.approx(0.998)
     assert schedule.next_due(1, 1.0001) == pytest.approx(1.002)
 
 

@@ -11,7 +11,7 @@ from std_msgs.msg import String
 
 from abrace.processes.group import find_executable
 from abrace_bags import read_run, read_topics
-from abrace_core.node import LATCHED_QOS
+from abrace_core.node import TRANSIENT_LOCAL_QOS
 
 RIG = Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml"
 NOISE = {"duration": 60.0}
@@ -59,7 +59,7 @@ def test_a_signal_ends_a_node_that_waits_for_its_life_cycle(graph):
 
 def test_a_latched_topic_that_was_published_before_is_recorded(graph):
     bag = graph.folder / "bag"
-    heard = graph.listen(String, "robot_description", LATCHED_QOS)
+    heard = graph.listen(String, "robot_description", TRANSIENT_LOCAL_QOS)
     graph.start("plant")
     graph.until(lambda: heard, "the robot description")
     graph.start("logger", output=str(bag), topics=["robot_description", "joint_states"])
@@ -121,7 +121,9 @@ def expect_refusal(ended: subprocess.CompletedProcess, *expected: str) -> None:
 )
 def test_wrong_parameters_are_refused_in_one_line(tmp_path, monkeypatch, node, arguments, expected):
     monkeypatch.chdir(tmp_path)
-    expect_refusal(run_node("abrace_plant", node, "--ros-args", *arguments), *expected)
+    expect_refusal(
+        run_node("abrace_bags" if node == "logger" else "abrace_plant", node, "--ros-args", *arguments), *expected
+    )
     assert not list(tmp_path.iterdir())
 
 

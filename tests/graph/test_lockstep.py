@@ -105,8 +105,8 @@ def test_readings_are_those_of_the_same_rig_simulated_offline(bags):
         sample = loop.sample()
         readings.append(sample.reading)
         commands.append(sample.command)
-        loop.take_command(k, force)
-        loop.take_ground_acceleration(k, acceleration)
+        loop.receive_command(k, force)
+        loop.receive_ground_acceleration(k, acceleration)
     floors, groups = rig.floors, rig.groups
     expected = np.split(np.array(readings), np.cumsum([floors, groups, floors, groups]), axis=1)
     for name, values in zip(("displacement", "stroke", "acceleration", "force"), expected, strict=False):

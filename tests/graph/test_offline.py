@@ -36,8 +36,8 @@ def write_bag(path: Path, ground: np.ndarray, command: np.ndarray, lost: range =
             payload = packed.pack(time, k, z[:3], z[4:7], z[3:4], z[7:8], sample.command, float(z[8]))
             if k not in lost:
                 bag.write(topic, payload, time, time)
-            loop.take_ground_acceleration(k, float(ground[k]))
-            loop.take_command(k, np.array([command[k]]))
+            loop.receive_ground_acceleration(k, float(ground[k]))
+            loop.receive_command(k, np.array([command[k]]))
     return path
 
 

@@ -18,7 +18,7 @@ from abrace_bags import DEFAULT_QOS, BagWriter, message_definition, read_topics
 from abrace_bags.nodes.replay import Replay
 from abrace_bags.raw import read_raw
 from abrace_core.controller_file import Controller, save_controller
-from abrace_core.node import LATCHED_QOS
+from abrace_core.node import TRANSIENT_LOCAL_QOS
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
@@ -184,7 +184,7 @@ def test_every_message_comes_again_as_it_was_and_a_transient_local_one_to_a_late
     assert graph.call(Trigger, "replay/step", Trigger.Request()).success
     assert graph.call(Trigger, "replay/step", Trigger.Request()).success
     graph.until(lambda: len(notes) == 1, "the first word")
-    title = graph.listen(String, "title", LATCHED_QOS)
+    title = graph.listen(String, "title", TRANSIENT_LOCAL_QOS)
     graph.until(lambda: title, "the title")
     assert title[0].data == "the title"
     assert graph.call(SetBool, "replay/pause", SetBool.Request(data=True)).message == "paused"

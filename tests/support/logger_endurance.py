@@ -71,7 +71,7 @@ class Publishers:
             self.publishers[topic] = publisher
             payload = bytearray(serialize_message(message))
             number = struct.Struct("<d" if topic == "ground_motion" else "<Q")
-            self.topics[topic] = (publisher.publish, payload, number, wire.head(bytes(payload)).offset)
+            self.topics[topic] = (publisher.publish, payload, number, wire.read_header(bytes(payload)).offset)
         self.count = 0
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from abrace_core.errors import AbraceError
-from abrace_core.files import write_beside
+from abrace_core.files import write_atomically
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -58,7 +58,7 @@ def write_csv(path: Path | str, messages: TopicArrays) -> None:
         If an array has not the same length in all messages, or the file can't be written.
     """
     table = columns(messages)
-    with write_beside(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+    with write_atomically(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(table)
         writer.writerows(zip(*(column.tolist() for column in table.values()), strict=True))
@@ -88,7 +88,7 @@ def write_mat(path: Path | str, topics: Mapping[str, TopicArrays], facts: Mappin
     for topic, messages in topics.items():
         _add(structs, topic, _struct(_with_times(messages)))
     _add(structs, "facts", _struct(facts))
-    with write_beside(path) as temporary:
+    with write_atomically(path) as temporary:
         savemat(str(temporary), structs, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
 
 

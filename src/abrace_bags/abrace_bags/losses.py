@@ -56,7 +56,7 @@ def is_numbered(definition_text: str) -> bool:
 def sequence_number(payload: bytes) -> int:
     """The `sequence` of a numbered message, the serialised `payload`; -1 if that is too short to have one."""
     try:
-        number: int = _SEQUENCE.unpack_from(payload, wire.head(payload).offset)[0]
+        number: int = _SEQUENCE.unpack_from(payload, wire.read_header(payload).offset)[0]
     except (AbraceError, struct.error):
         return -1
     return number

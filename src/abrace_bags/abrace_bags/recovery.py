@@ -68,8 +68,8 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
     counts: dict[str, int] = {}
     topics: dict[str, int] = {}
     with (
-        _new_bag(Path(output)) as unfinished,
-        BagWriter(unfinished, opened.facts, records=records, attachments=opened.attachments) as writer,
+        _new_bag(Path(output)) as temporary,
+        BagWriter(temporary, opened.facts, records=records, attachments=opened.attachments) as writer,
     ):
         for file, numbers in usable:
             messages = []
@@ -99,12 +99,12 @@ def _new_bag(output: Path) -> Iterator[Path]:
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{output.name}.", dir=output.parent) as folder:
-            unfinished = Path(folder) / output.name
+            temporary = Path(folder) / output.name
             try:
-                yield unfinished
+                yield temporary
             except AbraceError as error:
-                raise AbraceError(str(error).replace(str(unfinished), str(output))) from error
-            unfinished.rename(output)
+                raise AbraceError(str(error).replace(str(temporary), str(output))) from error
+            temporary.rename(output)
     except OSError as error:
         raise AbraceError(f"cannot write bag {output}: {error.strerror}") from error
 

@@ -1,9 +1,9 @@
 """Loops that have to go sample by sample, compiled at their first call.
 
-numba compiles them and keeps the result beside the source (or, where that cannot be written, in the user's cache
-folder), so that only the first call on a machine waits for the compiler; a new process still takes about a second to
-import numba and load the result, so that a loop in real time calls once before it starts. Without numba they run as
-they stand, some hundred times slower and with the same result to rounding.
+numba compiles them and caches the result next to the source (or, where that cannot be written, in the user's cache
+folder), so that only the first call on a machine waits for the compiler. A new process still needs about a second to
+import numba and load the result: a loop in real time calls once before it starts. Without numba the functions run as
+plain Python, some hundred times slower and with the same result to rounding.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ R = TypeVar("R")
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator for a function of numbers and arrays that uses nothing but numbers, arrays and loops over them.
+    """Decorator for a function of numbers, arrays and tuples of arrays that consists of loops over them.
 
-    It is compiled anew for each combination of types and memory layouts that it is called with: give it contiguous
-    arrays of float64, and scalars of one type.
+    It is compiled anew for each combination of types and memory layouts of its arguments: give it contiguous arrays of
+    float64 (or structured ones, for named columns), and scalars of one type. A plain tuple costs less at each call than
+    a named one, which the function can make of it.
 
     Parameters
     ----------
@@ -34,11 +35,11 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     def ready() -> Callable[P, R]:
         try:
             import numba
-        except ImportError:  # not there, or not for this Python or NumPy
+        except ImportError:  # not installed, or not for this Python or NumPy
             return function
         try:
             return cast("Callable[P, R]", numba.njit(cache=True)(function))
-        except RuntimeError:  # nowhere to keep the result: compile in each process
+        except RuntimeError:  # no folder for the cache: compile in each process
             return cast("Callable[P, R]", numba.njit(function))
 
     @wraps(function)

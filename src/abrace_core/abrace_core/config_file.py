@@ -1,4 +1,4 @@
-"""YAML files: read and checked key by key, refused with one clear line; and numbers written to them."""
+"""YAML files that users write, read and checked key by key, with one-line errors; and numbers written to YAML."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Checked(pydantic.BaseModel):
 
 
 class _UniqueKeys(yaml.SafeLoader):
-    """YAML whose mappings have each key once; plain YAML lets the last one win in silence."""
+    """YAML in which a duplicate key is an error; by default the last one silently wins."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
@@ -64,7 +64,7 @@ def validated(content: Mapping[str, Any], schema: type[Schema], source: str) -> 
     try:
         return schema.model_validate(content)
     except pydantic.ValidationError as error:
-        # a misspelt key is both unknown and missing: the first says more
+        # a misspelt key is both unknown and missing: report it as unknown
         first = min(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] == "extra_forbidden":

@@ -140,7 +140,7 @@ class Controller:
 
 
 def save_controller(controller: Controller, path: Path | str, proof: Sequence[str] = ()) -> None:
-    """Write the controller's parameter file, whole or not at all; the same controller gives the same bytes.
+    """Write the controller's parameter file, atomically; the same controller gives the same bytes.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from abrace_core.files import write_beside
+from abrace_core.files import write_atomically
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,6 +23,6 @@ RESOLUTION = 160
 
 
 def save_figure(figure: Figure, path: Path | str) -> None:
-    """Write a `figure` to a PNG file, whole or not at all."""
-    with write_beside(path) as beside:
-        figure.savefig(beside, format="png", dpi=RESOLUTION)
+    """Write a `figure` to a PNG file, atomically."""
+    with write_atomically(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=RESOLUTION)

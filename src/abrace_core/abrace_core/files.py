@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Files written atomically: to a temporary file, which is then renamed."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 @contextlib.contextmanager
-def write_beside(path: Path | str) -> Iterator[Path]:
-    """A path beside `path` to write to; renamed to `path` when the block ends well, removed when it does not.
+def write_atomically(path: Path | str) -> Iterator[Path]:
+    """A temporary file in the folder of `path`; renamed to `path` when the block ends, removed when it raises.
 
-    The ending is kept, so that writers that choose a format by it still do.
+    It has the suffix of `path`, by which some writers choose the format.
 
     Raises
     ------
@@ -25,19 +25,19 @@ def write_beside(path: Path | str) -> Iterator[Path]:
         If the folder cannot be made or written to.
     """
     path = Path(path)
-    beside = path.parent / f".{os.getpid()}.{path.name}"
+    temporary = path.parent / f".{os.getpid()}.{path.name}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        yield beside
-        beside.replace(path)
+        yield temporary
+        temporary.replace(path)
     except OSError as error:
         raise AbraceError(f"cannot write {path}: {error.strerror}") from error
     finally:
         with contextlib.suppress(OSError):
-            beside.unlink()
+            temporary.unlink()
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write a text file, whole or not at all."""
-    with write_beside(path) as beside:
-        beside.write_text(text, encoding="utf-8")
+    """Write a text file atomically, in UTF-8."""
+    with write_atomically(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""How long a node takes to answer its samples, over the last of them."""
+"""Latency of a node's answers: statistics over the last samples."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections import deque
 
 import numpy as np
 
-REMEMBERED = 5000
-"""Samples over which times are reported."""
+WINDOW = 5000
+"""Samples over which latency is reported."""
 
 SAME_CLOCK = 1_000_000_000
-"""Nanoseconds that a stamp and its answer may be apart by one clock; the stamps of a lockstep run begin at 0."""
+"""Nanoseconds between stamp and answer beyond which they are of different clocks: lockstep stamps begin at 0."""
 
 
 class Latency:
@@ -19,19 +19,19 @@ class Latency:
     Parameters
     ----------
     sample_period
-        [s]; an answer that falls behind the one before it by more than that is late.
+        [s]; an answer is late if its delay grows by more than that from one sample to the next.
     """
 
     def __init__(self, sample_period: float) -> None:
         self._period = sample_period * 1e9
-        self._from_receipt: deque[int] = deque(maxlen=REMEMBERED)
-        self._from_stamp: deque[int] = deque(maxlen=REMEMBERED)
+        self._from_receipt: deque[int] = deque(maxlen=WINDOW)
+        self._from_stamp: deque[int] = deque(maxlen=WINDOW)
         self.late = 0
-        """Answers so far that came more than a sample period later after their stamps than the one before, where clocks
-        tell. The stamps of a rig that was held up stay behind the clock: their age alone says nothing."""
+        """Answers so far whose delay after the stamp is more than a sample period longer than that of the answer
+        before, where stamps are of this clock. After an overrun all stamps stay behind the clock."""
 
-    def take(self, from_receipt: int, from_stamp: int) -> None:
-        """An answer was sent `from_receipt` ns after its sample was received and `from_stamp` ns after its stamp."""
+    def add(self, from_receipt: int, from_stamp: int) -> None:
+        """Add an answer sent `from_receipt` ns after its sample was received and `from_stamp` ns after its stamp."""
         self._from_receipt.append(from_receipt)
         if 0 <= from_stamp < SAME_CLOCK:
             if self._from_stamp:
@@ -39,16 +39,11 @@ class Latency:
             self._from_stamp.append(from_stamp)
 
     def report(self) -> dict[str, object]:
-        """Median, 99 % and worst over the last samples [us] of both; nothing of what is not known."""
+        """Median, 99 % and worst of both delays over the last samples [us], where they were measured."""
         found: dict[str, object] = {"late": self.late}
         for name, times in (("answer", self._from_receipt), ("stamp_to_command", self._from_stamp)):
             if times:
-                middle, most, worst = np.percentile(times, [50, 99, 100]) / 1e3
-                found.update(
-                    {
-                        f"{name}_median_us": round(middle),
-                        f"{name}_99_percent_us": round(most),
-                        f"{name}_worst_us": round(worst),
-                    }
-                )
+                values = np.percentile(times, [50, 99, 100]) / 1e3
+                for statistic, value in zip(("median", "99_percent", "worst"), values, strict=True):
+                    found[f"{name}_{statistic}_us"] = round(value)
         return found

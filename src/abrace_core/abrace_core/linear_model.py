@@ -157,7 +157,7 @@ def pole_table(poles: NDArray[np.complex128]) -> list[tuple[float, float]]:
 
 
 def save_model(model: LinearModel, path: Path | str) -> None:
-    """Write the model to a JSON file, whole or not at all."""
+    """Write the model to a JSON file, atomically."""
     content = {
         "format": FILE_FORMAT,
         "sample_period": model.sample_period,
@@ -205,14 +205,14 @@ def load_model(path: Path | str) -> LinearModel:
 
 
 def export_mat(model: LinearModel, path: Path | str) -> None:
-    """Write the model's matrices, names and delays to a MATLAB `.mat` file, whole or not at all."""
+    """Write the model's matrices, names and delays to a MATLAB `.mat` file, atomically."""
     from scipy.io import savemat
 
-    from abrace_core.files import write_beside
+    from abrace_core.files import write_atomically
 
-    with write_beside(path) as beside:
+    with write_atomically(path) as temporary:
         savemat(
-            str(beside),
+            str(temporary),
             {
                 "A": model.a,
                 "B": model.b,

@@ -26,9 +26,9 @@ class Progress:
     Parameters
     ----------
     steps
-        How many steps there will be.
+        Number of steps.
     stream
-        Where to; standard error by default.
+        Output; standard error by default.
     clock
         Gives seconds.
 
@@ -76,12 +76,12 @@ class Step:
             self._draw(None)
 
     def update(self, fraction: float | None, rate: str = "") -> None:
-        """Say how far the step is; call as often as you like.
+        """Report progress; may be called at any rate.
 
         Parameters
         ----------
         fraction
-            From 0 to 1; None when nobody knows.
+            From 0 to 1; None if unknown.
         rate
             How fast, for example "6.3 x real time".
         """
@@ -97,7 +97,7 @@ class Step:
             self._write(f"{self._title}: {percent}{self._elapsed()}{self._at_rate()}\n")
 
     def close(self, outcome: str) -> None:
-        """Write the step's last line, which stays: its title and `outcome`."""
+        """Write the final line of the step: its title and `outcome`."""
         clear = "\r\x1b[K" if self._redraws else ""
         self._write(f"{clear}{self._title}: {outcome} {self._elapsed()}{self._at_rate()}\n")
 

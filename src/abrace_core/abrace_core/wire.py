@@ -1,8 +1,8 @@
-"""The loop's three messages as they are on the wire (CDR, little endian), packed and unpacked in one step each.
+"""The control loop's three messages as serialised (CDR, little endian), each packed and unpacked in one step.
 
-rclpy builds a Python object for each message and each message in it: 10 to 16 microseconds a message, most of what a
-lockstep sample costs beside DDS. The nodes of the loop take and publish these bytes instead; to everyone else they are
-ordinary messages. Tests hold every layout against rclpy's own serialisation.
+rclpy builds a Python object for each message and each message in it: 10 to 16 microseconds a message, most of the time
+of a lockstep sample besides DDS. The loop's nodes receive and publish these bytes instead; to other nodes they are
+ordinary messages. Tests compare every layout with rclpy's own serialisation.
 
 Layout (XCDR1): 4 bytes of encapsulation; then, with alignment counted from there, the header (int32 sec, uint32
 nanosec, string frame_id), and the fields of Response, BraceCommand or geometry_msgs/AccelStamped.
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_HEAD = struct.Struct("<4siII")
+_HEADER = struct.Struct("<4siII")
 _BODY = 4
-"""Where alignment counts from."""
+"""Offset from which alignment counts."""
 
 
-class Head(NamedTuple):
-    """Stamp [ns] and the place of the first 8-byte field of a stamped message."""
+class Header(NamedTuple):
+    """Stamp [ns] of a message, and offset of its first 8-byte field."""
 
     stamp: int
     offset: int
@@ -35,41 +35,41 @@ def _aligned(offset: int, size: int) -> int:
     return offset + (_BODY - offset) % size
 
 
-def head(payload: bytes) -> Head:
+def read_header(payload: bytes) -> Header:
     """The header of a `payload` of any of the three messages.
 
     Raises
     ------
     AbraceError
-        If the payload is not little-endian CDR, or is cut.
+        If the payload is not little-endian CDR, or is truncated.
     """
-    if len(payload) < _HEAD.size or payload[:2] != LITTLE_ENDIAN[:2]:
+    if len(payload) < _HEADER.size or payload[:2] != LITTLE_ENDIAN[:2]:
         raise AbraceError("message: expected a stamped message in little-endian CDR")
-    _, seconds, nanoseconds, length = _HEAD.unpack_from(payload)
-    return Head(seconds * 10**9 + nanoseconds, _aligned(_HEAD.size + length, 8))
+    _, seconds, nanoseconds, length = _HEADER.unpack_from(payload)
+    return Header(seconds * 10**9 + nanoseconds, _aligned(_HEADER.size + length, 8))
 
 
-def _header(stamp: int, frame_id: str) -> bytes:
+def _pack_header(stamp: int, frame_id: str) -> bytes:
     """Encapsulation and header, up to the next 8-byte field."""
     text = frame_id.encode() + b"\0"
-    packed = _HEAD.pack(LITTLE_ENDIAN, stamp // 10**9, stamp % 10**9, len(text)) + text
+    packed = _HEADER.pack(LITTLE_ENDIAN, stamp // 10**9, stamp % 10**9, len(text)) + text
     return packed.ljust(_aligned(len(packed), 8), b"\0")
 
 
 class _Arrays:
-    """A sequence number and arrays of doubles of known lengths, and then single doubles."""
+    """Layout of a sequence number, arrays of doubles of known lengths, and single doubles."""
 
     def __init__(self, offset: int, lengths: Sequence[int], singles: int) -> None:
-        form, place, self.starts = "<Q", offset + 8, []
+        form, position, self.starts = "<Q", offset + 8, []
         values = 1
         for length in lengths:
-            form, place = form + "I", place + 4
-            padding = (_aligned(place, 8) - place) if length else 0
-            form, place = form + f"{padding}x{length}d", place + padding + 8 * length
+            form, position = form + "I", position + 4
+            padding = (_aligned(position, 8) - position) if length else 0
+            form, position = form + f"{padding}x{length}d", position + padding + 8 * length
             self.starts.append(values)
             values += 1 + length
         if singles:
-            form += f"{_aligned(place, 8) - place}x{singles}d"
+            form += f"{_aligned(position, 8) - position}x{singles}d"
         self.lengths = tuple(lengths)
         self.struct = struct.Struct(form)
         self.offset = offset
@@ -106,7 +106,7 @@ class Responses:
         Response.msg; their lengths stay those of the first call.
         """
         arrays = (displacement, acceleration, stroke, force, command)
-        header = _header(stamp, "table")
+        header = _pack_header(stamp, "table")
         if self._arrays is None:
             self._arrays = _Arrays(len(header), [len(array) for array in arrays], 1)
         return header + self._arrays.pack(sequence, arrays, (ground_acceleration,))
@@ -119,7 +119,7 @@ class Responses:
         AbraceError
             If it is no Response.
         """
-        stamp, offset = head(payload)
+        stamp, offset = read_header(payload)
         arrays = self._arrays
         if arrays is None or arrays.offset != offset or len(payload) < offset + arrays.struct.size:
             arrays = self._learn(payload, offset)
@@ -138,17 +138,17 @@ class Responses:
         return stamp, values[0], z
 
     def _learn(self, payload: bytes, offset: int) -> _Arrays:
-        place, lengths = offset + 8, []
+        position, lengths = offset + 8, []
         for _ in range(5):
-            place = _aligned(place, 4)
-            if place + 4 > len(payload):
+            position = _aligned(position, 4)
+            if position + 4 > len(payload):
                 raise AbraceError("Response: cut off")
-            (length,) = struct.unpack_from("<I", payload, place)
+            (length,) = struct.unpack_from("<I", payload, position)
             lengths.append(length)
-            place += 4
+            position += 4
             if length:
-                place = _aligned(place, 8) + 8 * length
-        if _aligned(place, 8) + 8 > len(payload):
+                position = _aligned(position, 8) + 8 * length
+        if _aligned(position, 8) + 8 > len(payload):
             raise AbraceError("Response: cut off")
         floors, accelerations, groups, forces, commands = lengths
         if floors != accelerations or not groups == forces == commands:
@@ -165,7 +165,7 @@ class BraceCommands:
 
     def pack(self, stamp: int, sequence: int, force: Sequence[float]) -> bytes:
         """The message with `stamp` [ns] and `sequence` of the Response that it answers, and `force` [N]."""
-        header = _header(stamp, "")
+        header = _pack_header(stamp, "")
         if self._arrays is None or self._arrays.lengths != (len(force),):
             self._arrays = _Arrays(len(header), [len(force)], 0)
         return header + self._arrays.pack(sequence, (force,), ())
@@ -178,7 +178,7 @@ class BraceCommands:
         AbraceError
             If it is no BraceCommand.
         """
-        _, offset = head(payload)
+        _, offset = read_header(payload)
         if len(payload) < offset + 12:
             raise AbraceError("BraceCommand: cut off")
         sequence, length = struct.unpack_from("<QI", payload, offset)
@@ -193,7 +193,7 @@ _ACCELERATION = struct.Struct("<6d")
 
 def pack_acceleration(stamp: int, acceleration: float) -> bytes:
     """An AccelStamped of the table: `stamp` [ns], `acceleration` [m/s^2] along x."""
-    return _header(stamp, "table") + _ACCELERATION.pack(acceleration, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return _pack_header(stamp, "table") + _ACCELERATION.pack(acceleration, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def unpack_acceleration(payload: bytes) -> tuple[int, float]:
@@ -204,7 +204,7 @@ def unpack_acceleration(payload: bytes) -> tuple[int, float]:
     AbraceError
         If it is none.
     """
-    stamp, offset = head(payload)
+    stamp, offset = read_header(payload)
     if len(payload) < offset + _ACCELERATION.size:
         raise AbraceError("AccelStamped: cut off")
     return stamp, _ACCELERATION.unpack_from(payload, offset)[0]

@@ -280,7 +280,7 @@ class Logger(AbraceNode):
             fault = "; ".join([*self.errors.values(), *([fault] if fault else [])])
         return fault, "stopped" if self.recording is None else "paused" if self.paused else "recording", values
 
-    def closing(self) -> None:
+    def close(self) -> None:
         """Receive the last messages and close the bag."""
         try:
             if self.recording is not None:

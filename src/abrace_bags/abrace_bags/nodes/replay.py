@@ -30,7 +30,7 @@ from abrace_bags.playback import (
 )
 from abrace_bags.raw import RawMessage, RecordedTopic, read_raw
 from abrace_core.errors import AbraceError
-from abrace_core.node import KEPT_STREAM_QOS, LOOK_PERIOD, AbraceNode, Parameter, RCLError, rcl_message, run
+from abrace_core.node import DISPLAY_PERIOD, KEPT_STREAM_QOS, AbraceNode, Parameter, RCLError, rcl_message, run
 from abrace_core.progress import Step
 from abrace_interfaces.msg import BraceCommand
 
@@ -86,7 +86,7 @@ class Replay(AbraceNode):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         if given.clock:
             self.clock_output = self.create_publisher(ClockMessage, CLOCK, 10)
-            self.create_timer(LOOK_PERIOD, self.publish_clock, clock=steady)
+            self.create_timer(DISPLAY_PERIOD, self.publish_clock, clock=steady)
         self.create_timer(SHOW_PERIOD, self.show, clock=steady)
         self.progress = Step(f"replay {given.bag}", sys.stderr, time.monotonic)
         self.paused = given.start_paused
@@ -122,7 +122,7 @@ class Replay(AbraceNode):
                 f"{self.parameters.lockstep_timeout:g} s (lockstep_timeout)",
             )
         elif self.began is None and not self.matched():
-            self.due = time.monotonic() + LOOK_PERIOD
+            self.due = time.monotonic() + DISPLAY_PERIOD
         else:
             self.check_for_rig()
             if self.exit_code is None:
@@ -254,7 +254,7 @@ class Replay(AbraceNode):
         message = "paused" if self.paused else "waiting for the controller" if self.began is None else "playing"
         return None, message, {"played": self.playback.played, "fraction": round(self.playback.fraction, 4)}
 
-    def closing(self) -> None:
+    def close(self) -> None:
         """Show how it ended."""
         self.progress.close("done in" if self.exit_code == 0 else "failed after" if self.exit_code else "stopped after")
 

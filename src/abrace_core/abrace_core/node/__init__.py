@@ -1,4 +1,4 @@
-"""What every node shares, and the one part of a library that imports rclpy.
+"""The base classes of all nodes, and `run`; with the nodes themselves the only modules that import rclpy.
 
 A node's module holds its parameter table, its callbacks and
 
@@ -7,24 +7,25 @@ A node's module holds its parameter table, its callbacks and
 """
 
 from abrace_core.node.conventions import (
+    DISPLAY_PERIOD,
     KEPT_STREAM_QOS,
-    LATCHED_QOS,
-    LOOK_PERIOD,
     STREAM_QOS,
+    TRANSIENT_LOCAL_QOS,
     AbraceNode,
     RCLError,
     rcl_message,
 )
+from abrace_core.node.installed import find_file
 from abrace_core.node.lifecycle import AUTOSTART, AbraceLifecycleNode
-from abrace_core.node.parameters import Parameter, declare, find_file
+from abrace_core.node.parameters import Parameter, declare
 from abrace_core.node.process import run
 
 __all__ = [
     "AUTOSTART",
+    "DISPLAY_PERIOD",
     "KEPT_STREAM_QOS",
-    "LATCHED_QOS",
-    "LOOK_PERIOD",
     "STREAM_QOS",
+    "TRANSIENT_LOCAL_QOS",
     "AbraceLifecycleNode",
     "AbraceNode",
     "Parameter",

@@ -6,11 +6,9 @@ import sys
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from ament_index_python.packages import get_package_share_directory
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterException
 from rclpy.node import Node
@@ -31,7 +29,7 @@ _ARRAY_TYPES = {
     str: RosParameter.Type.STRING_ARRAY,
 }
 _EMPTY_LISTS = (RosParameter.Type.BYTE_ARRAY, RosParameter.Type.NOT_SET)
-"""What ROS takes an empty list for."""
+"""ROS types of an empty list."""
 _EXAMPLES = {bool: "true", int: "3", float: "3.0", str: "text"}
 
 
@@ -56,7 +54,7 @@ class Parameter:
     required
         Whether an empty value is refused.
     live
-        Whether it may be changed while the node runs; its new value then comes to `Node.parameter_changed`.
+        Whether it may be changed while the node runs; `AbraceNode.parameter_changed` then receives the new value.
     """
 
     name: str
@@ -85,7 +83,7 @@ class Parameter:
         return (_ARRAY_TYPES if isinstance(self.default, list) else _TYPES)[self._element]
 
     def expected(self) -> str:
-        """What a value has to be, in words."""
+        """Description of the valid values."""
         kind = {bool: "true or false", int: "a whole number", float: "a number with a decimal point", str: "a text"}
         text = (
             kind[self._element] if not isinstance(self.default, list) else f"a list like [{_EXAMPLES[self._element]}]"
@@ -106,7 +104,7 @@ class Parameter:
             description=self.description,
             read_only=not self.live,
             additional_constraints=self.expected(),
-            # rclpy takes an empty list for one of bytes; `check` looks at the type of what comes later
+            # the ROS type of an empty list is that of bytes; `check` checks the type of later values
             dynamic_typing=self.default == [],
         )
         low = self.minimum if self.minimum is not None else -sys.float_info.max
@@ -120,7 +118,7 @@ class Parameter:
         return descriptor
 
     def check(self, given: RosParameter) -> Any:
-        """The value given, if it is one that the node can use; one value where a list is meant is a list of one.
+        """The value, if it is valid; a single value for an array is a list of one.
 
         Raises
         ------
@@ -137,7 +135,7 @@ class Parameter:
         return list(value) if isinstance(value, (list, tuple, array)) else value
 
     def holds(self, value: Any) -> bool:
-        """Whether a value of the right type is one that the node can use."""
+        """Whether a value of the right type is in range."""
         if self.required and not value:
             return False
         values = value if isinstance(self.default, list) else [value]
@@ -172,23 +170,3 @@ def declare(node: Node, table: Sequence[Parameter]) -> SimpleNamespace:
             raise AbraceError(f"parameter {parameter.name}: {value!r}, expected {parameter.expected()}") from error
         setattr(values, parameter.name, value)
     return values
-
-
-def find_file(name: str, package: str, folder: str, ending: str, kind: str) -> Path:
-    """A file by its path, or by its name among those that a package installs.
-
-    Raises
-    ------
-    AbraceError
-        If there is neither; says which names there are.
-    """
-    if name.endswith(ending) or "/" in name:
-        if not Path(name).is_file():
-            raise AbraceError(f"{kind} file {name}: no such file")
-        return Path(name)
-    installed = Path(get_package_share_directory(package)) / folder
-    path = installed / f"{name}{ending}"
-    if not path.is_file():
-        names = ", ".join(sorted(entry.name.removesuffix(ending) for entry in installed.glob(f"*{ending}")))
-        raise AbraceError(f"{kind} {name!r}: unknown, expected a file ending in {ending} or one of {names}")
-    return path

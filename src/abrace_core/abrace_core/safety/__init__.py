@@ -1,1 +1,1 @@
-"""What stands between a command and the rig: limits of commands, and the watch over the samples that they answer."""
+"""Limits and faults: the guard that every command passes, and the checks of the samples that it answers."""

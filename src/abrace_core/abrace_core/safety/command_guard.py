@@ -1,7 +1,7 @@
-"""The checks that every force command passes before it may act: finite, within capacity and rate, off after a fault.
+"""The checks that every force command passes before it acts: finite, within capacity and rate limit, no fault.
 
-A command with nothing wrong passes bit for bit, as identification needs it. The first fault is latched: the force goes
-along a half cosine to zero within the ramp time, whatever is commanded, and stays there until the guard is cleared.
+A command within the limits passes bit for bit, as identification needs it. The first fault is latched: the force goes
+along a half cosine to zero within the ramp time, whatever is commanded, and stays zero until the guard is cleared.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ class CommandGuard:
     sample_period
         Between two calls of `check` [s].
     ramp_time
-        Within which a fault brings the force to zero [s]; long enough to do so from capacity at the rate limit.
+        From a fault to zero force [s]; long enough to get there from capacity within the rate limit.
 
     Attributes
     ----------
     saturations
-        Commands so far that were cut to capacity.
+        Commands so far that were limited to capacity.
     rate_limits
-        Samples so far at which the force could not follow its command at the rate limit.
+        Samples so far at which the rate limit held the force back from its command.
 
     Raises
     ------
@@ -71,7 +71,7 @@ class CommandGuard:
                     f"to zero at {step / sample_period:g} N/s"
                 )
         self._ramp = [(1 + math.cos(math.pi * j / steps)) / 2 for j in range(1, steps)]
-        self._ramped = 0
+        self._ramp_steps = 0
         self._ramp_start: list[float] = []
         self._fault_reason: str | None = None
         self._command = [0.0] * len(self._capacity)
@@ -86,11 +86,11 @@ class CommandGuard:
 
     @property
     def force(self) -> NDArray[np.float64]:
-        """(groups,) [N], what the last `check` let act; zero before the first."""
+        """(groups,) [N], result of the last `check`; zero before the first."""
         return np.array(self._force)
 
-    def rest(self) -> None:
-        """The braces are at rest, because the rig has begun anew: the force goes on from zero."""
+    def reset_force(self) -> None:
+        """Set force and command to zero, because the rig has restarted with its braces at rest."""
         self._force = self._ramp_start = self._command = [0.0] * len(self._capacity)
 
     def fault(self, reason: str) -> None:
@@ -98,34 +98,34 @@ class CommandGuard:
         if self._fault_reason is None:
             self._fault_reason = reason
             self._ramp_start = self._force
-            self._ramped = 0
+            self._ramp_steps = 0
 
     def clear(self) -> None:
-        """Unlatch. The force starts from where the ramp has brought it (in the end: zero), with a command of zero."""
+        """Clear the fault. The force starts from where the ramp has brought it, in the end zero, with zero command."""
         self._fault_reason = None
         self._command = [0.0] * len(self._capacity)
 
     def check(self, force: NDArray[np.float64] | Sequence[float] | None) -> NDArray[np.float64]:
-        """The force that may act from this sample on; to be called once a sample.
+        """The force that acts from this sample on; called once a sample.
 
         Parameters
         ----------
         force
-            (groups,) the new command [N]; None: no new one, the last still holds. A command of another length, or with
-            a value that is not finite, is a fault.
+            (groups,) the new command [N]; None: the last one is held. A command of another length, or with a value that
+            is not finite, is a fault.
 
         Returns
         -------
         NDArray
-            (groups,) [N], the caller's to keep: the command itself where nothing is wrong.
+            (groups,) [N], a new array: the command itself within the limits.
         """
         if force is not None and self._fault_reason is None:
-            self._take(force)
+            self._accept(force)
         self._force = self._follow() if self._fault_reason is None else self._ramp_down()
         return np.array(self._force)
 
-    def _take(self, force: NDArray[np.float64] | Sequence[float]) -> None:
-        """Make this the command in force, cut to capacity, or latch a fault."""
+    def _accept(self, force: NDArray[np.float64] | Sequence[float]) -> None:
+        """Limit a new command to capacity and make it the present one, or latch a fault."""
         try:
             given = np.asarray(force, dtype=np.float64)
         except (TypeError, ValueError):
@@ -148,7 +148,7 @@ class CommandGuard:
         self._command = command
 
     def _follow(self) -> list[float]:
-        """The command, as near to it as the rate limit lets the force come in one sample."""
+        """The command, limited to the rate limit's step from the last force."""
         force = self._command.copy()
         limited = False
         for i, last in enumerate(self._force):
@@ -160,9 +160,9 @@ class CommandGuard:
         return force
 
     def _ramp_down(self) -> list[float]:
-        """The force of the ramp's next step; zero when it is over."""
-        if self._ramped == len(self._ramp):
+        """The force at the ramp's next step; zero after its end."""
+        if self._ramp_steps == len(self._ramp):
             return [0.0] * len(self._capacity)
-        share = self._ramp[self._ramped]
-        self._ramped += 1
+        share = self._ramp[self._ramp_steps]
+        self._ramp_steps += 1
         return [share * force for force in self._ramp_start]

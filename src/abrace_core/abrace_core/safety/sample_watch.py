@@ -1,22 +1,22 @@
-"""Watching the stream of samples that a node answers: lost ones, a restarted rig, a wrong sample rate."""
+"""Checks of the stream of samples that a node answers: lost samples, a restarted rig, a wrong sample rate."""
 
 from __future__ import annotations
 
 from abrace_core.sequence import SequenceCounter
 
 LONGEST_GAP = 5
-"""Lost samples in a row that a node may bridge if it is not told otherwise; more are a fault."""
+"""Lost samples in a row that a node bridges by default; more are a fault."""
 
 
 class SampleWatch(SequenceCounter):
-    """Looks at each sample's number and stamp.
+    """Checks each sample's number and stamp.
 
     Parameters
     ----------
     sample_period
-        That the node is made for [s].
+        Expected [s].
     longest_gap
-        Lost samples in a row that it may bridge.
+        Lost samples in a row that the node bridges.
     """
 
     def __init__(self, sample_period: float, longest_gap: int = LONGEST_GAP) -> None:
@@ -25,22 +25,22 @@ class SampleWatch(SequenceCounter):
         self._period = sample_period * 1e9
         self._stamp = 0
         self.problem: str | None = None
-        """Why the last sample may not be answered as usual; None: all is well."""
+        """Why the last sample is a fault; None: it is not."""
 
-    def take(self, sequence: int, stamp: int) -> int:
-        """Look at a sample.
+    def update(self, sequence: int, stamp: int) -> int:
+        """Check the next sample.
 
         Parameters
         ----------
         sequence
             Its number.
         stamp
-            Its instant [ns].
+            Its sampling instant [ns].
 
         Returns
         -------
         int
-            Samples lost just before it; -1 if the rig has started anew (so for the first sample that is seen).
+            Samples lost just before it; -1 if it is the first one, or the first after a restart of the rig.
         """
         lost = self.add(sequence)
         elapsed, self._stamp = stamp - self._stamp, stamp

@@ -59,7 +59,7 @@ class Controller(BraceCommander):
         if given.next:
             controller = load_controller(given.next)
         self.active_controller = ActiveController(controller, given.ramp_time)
-        self.open_loop(controller.law.sample_period, controller.force_limit.tolist(), given.max_lost)
+        self.create_topics(controller.law.sample_period, controller.force_limit.tolist(), given.max_lost)
 
     def parameter_changed(self, name: str, value: Any) -> None:
         """Change over to the controller of the file `next`."""

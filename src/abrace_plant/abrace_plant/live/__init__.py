@@ -1,1 +1,1 @@
-"""The rig and the table sample by sample: inputs in, samples out, each when it is due. Without ROS."""
+"""The rig and the shake table in operation, sample by sample and without ROS: takes commands, gives readings."""

@@ -1,8 +1,8 @@
 """The rig sample by sample: inputs checked, motion stepped, sensors read. What the `plant` node runs, without ROS.
 
-At sample k the rig takes what answered sample k-1: the command acts from t_k on and the ground has that acceleration at
-t_k. Then it reads its sensors. A command that stays away while force is on, two commands for one sample, a value that
-is not finite or an emergency stop are faults: the guard takes the force smoothly to zero and keeps it there until a
+Sample k uses the answers to sample k-1: the command acts from t_k on, and the ground has the commanded acceleration at
+t_k. Then the sensors are read. A command that is missing while the force is not zero, two commands for one sample, a
+value that is not finite and an emergency stop are faults: the guard ramps the force to zero and holds it there until a
 person clears the fault.
 """
 
@@ -33,7 +33,7 @@ COMMAND, GROUND = "brace_command", "ground_motion"
 
 @dataclass(frozen=True)
 class Sample:
-    """What one Response carries.
+    """The content of one Response.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Sample:
     reading
         (channels,) [displacements, strokes, accelerations, forces, ground acceleration], as measured.
     command
-        (groups,) [N], in force until this sample.
+        (groups,) [N], in effect until this sample.
     """
 
     sequence: int
@@ -51,7 +51,7 @@ class Sample:
 
 
 class _Input:
-    """One guarded input: its latest value and the sample that it answers."""
+    """A guarded input: its present value and the sample that it answers."""
 
     def __init__(self, name: str, guard: CommandGuard, timeout_samples: int) -> None:
         self.name = name
@@ -62,8 +62,8 @@ class _Input:
         self.answered = -1
         self.late = 0
 
-    def take(self, sequence: int, value: Sequence[float], now: int) -> None:
-        """An answer to sample `sequence` while `now` is the last one taken; one that is overdue does not act."""
+    def receive(self, sequence: int, value: Sequence[float], now: int) -> None:
+        """Accept an answer to sample `sequence` after sample `now`; one later than the timeout does not act."""
         if sequence > now or sequence < max(self.answered, now - self._timeout):
             self.late += 1
             return
@@ -76,7 +76,7 @@ class _Input:
         self._pending = value
 
     def advance(self, last: int) -> NDArray[np.float64]:
-        """The value from the next sample on; `last` is the number of the sample before."""
+        """The value from the sample after `last` on."""
         if last - self.answered > self._timeout and self.value.any():
             self.guard.fault(f"no {self.name} for {last - self.answered} samples")
         self.value = self.guard.check(self._pending)
@@ -85,7 +85,7 @@ class _Input:
 
 
 class RigLoop:
-    """A simulated rig between messages.
+    """A simulated rig with its inputs, sensors and guards.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class RigLoop:
     seed
         Of the sensor noise.
     command_timeout
-        Seconds that a command or a ground acceleration may stay away while it is not zero.
+        Seconds without a command or ground acceleration, while it is not zero, that are no fault yet.
     """
 
     def __init__(self, rig: Rig, seed: int, command_timeout: float) -> None:
@@ -110,26 +110,26 @@ class RigLoop:
         self._true = np.zeros(2 * rig.floors + 2 * rig.groups + 1)
         self.sequence = -1
 
-    def take_command(self, sequence: int, force: Sequence[float]) -> None:
-        """A BraceCommand has come: `force` (groups,) [N] answers sample `sequence`."""
-        self._command.take(sequence, force, self.sequence)
+    def receive_command(self, sequence: int, force: Sequence[float]) -> None:
+        """Accept a BraceCommand: `force` (groups,) [N] answers sample `sequence`."""
+        self._command.receive(sequence, force, self.sequence)
 
-    def take_ground_acceleration(self, sequence: int, acceleration: float) -> None:
-        """A ground acceleration [m/s^2] has come, for the sample after `sequence`."""
-        self._ground.take(sequence, [acceleration], self.sequence)
+    def receive_ground_acceleration(self, sequence: int, acceleration: float) -> None:
+        """Accept a ground `acceleration` [m/s^2] for the sample after `sequence`."""
+        self._ground.receive(sequence, [acceleration], self.sequence)
 
-    def kill_sensors(self, faults: Sequence[str]) -> None:
-        """These channels are dead and no others, each described as for `parse_fault`; a time counts from sample 0.
+    def set_sensor_faults(self, faults: Sequence[str]) -> None:
+        """Replace the sensor faults; times count from sample 0.
 
         Parameters
         ----------
         faults
-            Such as `["a2=stuck", "x3=noise@20.0"]`.
+            Each as for `parse_fault`, such as `["a2=stuck", "x3=noise@20.0"]`.
 
         Raises
         ------
         AbraceError
-            If one of them is none.
+            As in `parse_fault`.
         """
         self._measurement.faults = tuple(parse_fault(text, self._channels, self._period) for text in faults)
 
@@ -138,12 +138,12 @@ class RigLoop:
         return (self._command if name == COMMAND else self._ground).answered == self.sequence
 
     def fault(self, reason: str) -> None:
-        """Force and ground motion to zero, latched with its `reason`."""
+        """Latch a fault with its `reason`: force and ground motion ramp to zero."""
         self._command.guard.fault(reason)
         self._ground.guard.fault(reason)
 
     def clear_faults(self) -> None:
-        """A person says that it is safe to go on."""
+        """Clear the latched fault."""
         self._command.guard.clear()
         self._ground.guard.clear()
 
@@ -153,7 +153,7 @@ class RigLoop:
         return self._command.guard.fault_reason or self._ground.guard.fault_reason
 
     def sample(self) -> Sample:
-        """Take the inputs, step to the next sample and read the sensors."""
+        """Apply the inputs, step to the next sample and read the sensors."""
         until_now = self._command.value
         command = self._command.advance(self.sequence)
         ground = float(self._ground.advance(self.sequence)[0])
@@ -163,7 +163,7 @@ class RigLoop:
         return Sample(self.sequence, self._measurement.read(self._true), until_now)
 
     def counters(self) -> dict[str, int]:
-        """What has been cut or came late so far."""
+        """Counts of limited and of late inputs so far."""
         guard = self._command.guard
         return {
             "saturations": guard.saturations,

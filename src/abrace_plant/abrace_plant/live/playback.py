@@ -1,4 +1,4 @@
-"""A prepared ground motion played sample by sample, and its smooth end when someone cancels it."""
+"""A prepared ground motion played sample by sample, with a ramp to zero when it is cancelled."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 CANCEL_TIME = 0.5
-"""Seconds in which a cancelled motion goes to zero."""
+"""Seconds in which a cancelled motion ramps to zero."""
 
 
 class Playback:
@@ -56,7 +56,7 @@ class Playback:
         return self._motion[index] if 0 <= index < len(self._motion) else 0.0
 
     def cancel(self) -> None:
-        """From the next answer on, go from the last value to zero along a half cosine; done if nothing was played."""
+        """Ramp from the last value to zero along a half cosine; done at once if nothing was played."""
         if self.cancelled or self.done:
             return
         self.cancelled = True

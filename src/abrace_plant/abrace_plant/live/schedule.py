@@ -1,9 +1,9 @@
-"""When samples are due, and which sample a stamp belongs to."""
+"""The sampling schedule of a rig in real time: when samples are due, their stamps, overruns."""
 
 from __future__ import annotations
 
 LONGEST_CATCH_UP = 0.01
-"""Seconds that a rig which was held up makes up for. After more it goes on from now: no commander could keep up."""
+"""Seconds of an overrun that are caught up. After a longer one the schedule shifts: no commander could keep up."""
 
 
 class Schedule:
@@ -26,10 +26,10 @@ class Schedule:
         self._start = start
         self._monotonic_start = monotonic_start
         self._last = max(1, round(duration * sample_rate)) - 1 if duration else -1
-        self.behind = 0
+        self.overruns = 0
         """Samples that were taken a whole period late or more."""
-        self.held_up = 0.0
-        """Seconds that were not made up for: the stamps are so much behind the clock."""
+        self.shift = 0.0
+        """Seconds by which the schedule has shifted in long overruns: the stamps are behind the clock by as much."""
 
     def stamp(self, sequence: int) -> int:
         """Instant of sample `sequence` [ns]."""
@@ -40,17 +40,17 @@ class Schedule:
         return round((stamp - self._start) / self._period)
 
     def next_due(self, sequence: int, now: float) -> float:
-        """When the sample after `sequence` is due [s, monotonic]: counted from the start, so that errors do not add up.
+        """When the sample after `sequence` is due [s, monotonic], counted from the start: errors do not accumulate.
 
         `now` is the instant at which `sequence` was taken.
         """
         due = self._monotonic_start + (sequence + 1) * self._period * 1e-9
         late = now - due
-        self.behind += late > 0
+        self.overruns += late > 0
         if late <= LONGEST_CATCH_UP:
             return due
         self._monotonic_start += late
-        self.held_up += late
+        self.shift += late
         return now
 
     def is_last(self, sequence: int) -> bool:

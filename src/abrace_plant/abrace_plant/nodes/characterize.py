@@ -1,4 +1,4 @@
-"""The node `characterize`: measures a rig as the paper measured its building, and sets the paper's numbers beside."""
+"""The node `characterize`: measures a rig as the paper measured its building, and compares it with the paper."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from std_msgs.msg import Bool
 
 from abrace_core.errors import AbraceError
 from abrace_core.multisine import LINES, repeated_multisine
-from abrace_core.node import KEPT_STREAM_QOS, LATCHED_QOS, AbraceLifecycleNode, Parameter, run
+from abrace_core.node import KEPT_STREAM_QOS, TRANSIENT_LOCAL_QOS, AbraceLifecycleNode, Parameter, run
 from abrace_core.noise import banded_noise
 from abrace_core.safety.sample_watch import SampleWatch
 from abrace_core.wire import Responses, pack_acceleration
@@ -30,27 +30,27 @@ FEEDBACK_EVERY = 50
 
 PARAMETERS = [
     Parameter(
-        "record", "", "plays at once: a known name, white_noise, multisine, or a file; empty: wait for the action"
+        "record", "", "played at once: a known name, white_noise, multisine, or a file; empty: wait for the action"
     ),
     *RECORD_PARAMETERS,
-    Parameter("rms", 0.25, "m/s^2, of white noise or a multisine, which last duration", minimum=0.0),
+    Parameter("rms", 0.25, "m/s^2, of white noise or a multisine of the given duration", minimum=0.0),
     Parameter("band", [0.0, 10.0], "Hz, of white noise or a multisine", minimum=0.0),
     Parameter("seed", 1, "of white noise or a multisine", minimum=0),
-    Parameter("period", 32.768, "s, of a multisine, of which as many whole periods as fit are played", minimum=0.01),
-    Parameter("lines", "odd", "of a multisine; orthogonal to a command on other lines", choices=LINES),
-    Parameter("slope", 0.0, "of a multisine: amplitudes go with frequency to this power"),
+    Parameter("period", 32.768, "s, of a multisine; whole periods that fit in duration are played", minimum=0.01),
+    Parameter("lines", "odd", "frequency lines of a multisine; orthogonal to a command on other lines", choices=LINES),
+    Parameter("slope", 0.0, "of a multisine: power of the frequency with which amplitudes grow"),
 ]
 
 
 class PlayServer(ActionServer):
     """An action server whose goals end by an explicit `notify_execute`.
 
-    `goal.execute()` alone marks a goal as executing. rclpy would have the goal's callback wait for the end of the
-    motion, and the events executor of rclpy 7.1 spends a whole processor on a callback that waits.
+    `goal.execute()` only marks a goal as executing. In rclpy a goal's callback waits for the end of the motion, and the
+    events executor of rclpy 7.1 spends a whole processor on a callback that waits.
     """
 
     def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Callable | None) -> None:
-        """Let `execute_callback` give the goal's result."""
+        """Have `execute_callback` return the goal's result; without one the goal goes on."""
         if execute_callback is not None:
             super().notify_execute(goal_handle, execute_callback)
 
@@ -65,14 +65,14 @@ class GroundMotion(AbraceLifecycleNode):
         self.stopped = False
 
     def configure(self) -> None:
-        """Load the record that plays at once, make the topics and the action."""
+        """Load the record that is played at once, create the topics and the action."""
         given = self.parameters
         self.watch = SampleWatch(1 / given.sample_rate)
         self.first_motion = self.motion(given.record, given.peak_acceleration, given.duration) if given.record else None
         self.responses = Responses()
         self.publisher = self.publish_on(AccelStamped, "ground_motion", KEPT_STREAM_QOS)
         self.subscribe_to(Response, "response", self.on_response, KEPT_STREAM_QOS, raw=True)
-        self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
+        self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, TRANSIENT_LOCAL_QOS)
         self.server = PlayServer(
             self,
             PlayGroundMotion,
@@ -104,21 +104,21 @@ class GroundMotion(AbraceLifecycleNode):
         return motion * (peak_acceleration / np.abs(motion).max()) if peak_acceleration else motion
 
     def activate(self) -> None:
-        """Answer from the next sample on; the record of the parameters begins with it, unless the table still moves."""
+        """Answer from the next sample on, with the record of the parameters unless the table still moves."""
         if self.playback is None or self.playback.done:
             self.watch.sequence = -1
 
     def deactivate(self) -> None:
-        """Cancel what plays; the answers go on until the table stands still."""
+        """Cancel the motion; the answers go on until the table is at rest."""
         self.come_to_rest()
 
     def cleanup(self) -> None:
-        """Take the action out of the graph."""
+        """Destroy the action server."""
         self.server.destroy()
         self.playback, self.goal = None, None
 
     def come_to_rest(self) -> None:
-        """Cancel what plays."""
+        """Cancel the motion, if one plays."""
         if self.playback is not None:
             self.playback.cancel()
             if self.playback.done:
@@ -134,8 +134,8 @@ class GroundMotion(AbraceLifecycleNode):
             self.get_logger().error(str(error))
             self.come_to_rest()
             return
-        if self.watch.take(sequence, stamp) < 0:
-            self.start_anew(sequence)
+        if self.watch.update(sequence, stamp) < 0:
+            self.restart(sequence)
         playback = self.playback
         if self.watch.problem and playback is not None and playback.played:
             playback.cancel()
@@ -149,13 +149,13 @@ class GroundMotion(AbraceLifecycleNode):
                 self.goal.publish_feedback(feedback)
 
     def end_goal(self, playback: Playback) -> None:
-        """Have the goal that played, if there is one, give its result."""
+        """Send the result of the goal that played, if there is one."""
         goal, self.goal = self.goal, None
         if goal is not None:
             self.server.notify_execute(goal, lambda goal: self.on_end(goal, playback))
 
-    def start_anew(self, sequence: int) -> None:
-        """The rig has started: what plays ends, and the record of the parameters begins; a goal that waited begins."""
+    def restart(self, sequence: int) -> None:
+        """The rig has restarted: end the motion and begin the record of the parameters, or a goal that waited."""
         if self.goal is not None and self.playback is not None:
             if not self.playback.played:
                 return
@@ -166,7 +166,7 @@ class GroundMotion(AbraceLifecycleNode):
             self.playback = Playback(self.first_motion, self.parameters.sample_rate)
 
     def on_goal(self, request: PlayGroundMotion.Goal) -> GoalResponse:
-        """Accept a motion when none plays or is about to."""
+        """Accept a goal unless a motion plays or is about to."""
         waiting = self.first_motion is not None and self.watch.sequence < 0
         busy = waiting or (self.playback is not None and not self.playback.done)
         if not self.active or busy or self.stopped:
@@ -176,7 +176,7 @@ class GroundMotion(AbraceLifecycleNode):
         return GoalResponse.ACCEPT
 
     def on_accepted(self, goal: ServerGoalHandle) -> None:
-        """Play from the next sample on."""
+        """Load the motion of a goal and play it from the next sample on."""
         request = goal.request
         try:
             if not np.isfinite([request.peak_acceleration, request.duration]).all():
@@ -201,12 +201,12 @@ class GroundMotion(AbraceLifecycleNode):
         return PlayGroundMotion.Result(success=False, message=message)
 
     def on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
-        """Bring the table smoothly to rest."""
+        """Ramp the table to rest."""
         self.come_to_rest()
         return CancelResponse.ACCEPT
 
     def on_end(self, goal: ServerGoalHandle, playback: Playback) -> PlayGroundMotion.Result:
-        """The result of a goal that has played to its end or come to rest before."""
+        """The result of a goal that has ended, or was cancelled and has come to rest."""
         result = PlayGroundMotion.Result(success=not playback.cancelled, samples=playback.played)
         if goal.is_cancel_requested:
             goal.canceled()
@@ -220,7 +220,7 @@ class GroundMotion(AbraceLifecycleNode):
         return result
 
     def on_emergency_stop(self, message: Bool) -> None:
-        """Someone pressed the button, or released it."""
+        """The emergency stop is pressed or released."""
         self.stopped = message.data
         if self.stopped:
             self.come_to_rest()

@@ -1,4 +1,4 @@
-"""The node `plant`: a simulated rig that publishes and takes exactly what the real one does."""
+"""The node `plant`: a simulated rig with exactly the topics of the real one."""
 
 from __future__ import annotations
 
@@ -12,16 +12,8 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from abrace_core.errors import AbraceError
-from abrace_core.node import (
-    KEPT_STREAM_QOS,
-    LATCHED_QOS,
-    LOOK_PERIOD,
-    STREAM_QOS,
-    AbraceLifecycleNode,
-    Parameter,
-    find_file,
-    run,
-)
+from abrace_core.node import AbraceLifecycleNode, Parameter, find_file, run
+from abrace_core.node.conventions import DISPLAY_PERIOD, KEPT_STREAM_QOS, STREAM_QOS, TRANSIENT_LOCAL_QOS
 from abrace_core.wire import BraceCommands, Responses, unpack_acceleration
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_plant.live.loop import COMMAND, GROUND, RigLoop
@@ -31,24 +23,22 @@ from abrace_plant.rig.robot_description import joint_names, urdf
 
 PARAMETERS = [
     Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
-    Parameter(
-        "disconnected_braces", [], "brace groups taken off the building (1 the first); all: bare frame", element=int
-    ),
+    Parameter("disconnected_braces", [], "disconnected brace groups (1 the first); all: bare frame", element=int),
     Parameter("seed", 0, "seed of the sensor noise", minimum=0),
     Parameter(
         "sensor_faults",
         [],
-        "channels that are dead, as a2=stuck, x3=zero, f=noise@20.0 (from second 20 on)",
+        "failed channels, as a2=stuck, x3=zero, f=noise@20.0 (from second 20 on)",
         element=str,
         live=True,
     ),
     Parameter("duration", 0.0, "seconds to run, then end; 0: until stopped", minimum=0.0),
-    Parameter("command_timeout", 0.02, "seconds that an input may stay away while it is not zero", minimum=0.002),
-    Parameter("lockstep", False, "move on as soon as every input of wait_for has answered, not by the clock"),
+    Parameter("command_timeout", 0.02, "seconds that an input may be missing while it is not zero", minimum=0.002),
+    Parameter("lockstep", False, "sample as soon as every input of wait_for has answered, not by the clock"),
     Parameter(
         "wait_for",
         [COMMAND],
-        "inputs that answer every sample in lockstep",
+        "inputs whose answers lockstep waits for",
         choices=(COMMAND, GROUND),
         required=True,
     ),
@@ -66,34 +56,34 @@ class Plant(AbraceLifecycleNode):
         super().__init__("plant", PARAMETERS)
 
     def configure(self) -> None:
-        """Load the rig and make the topics."""
+        """Load the rig and create the topics."""
         given = self.parameters
         rig = load_rig(find_file(given.rig, "abrace_plant", "config", ".yaml", "rig"))
         self.rig = rig.disconnect(given.disconnected_braces)
         self.floors, self.groups = self.rig.floors, self.rig.groups
         self.response = self.publish_on(Response, "response", KEPT_STREAM_QOS)
         self.joint_states = self.create_publisher(JointState, "joint_states", 10)
-        self.description = self.create_publisher(String, "robot_description", LATCHED_QOS)
+        self.description = self.create_publisher(String, "robot_description", TRANSIENT_LOCAL_QOS)
         self.description.publish(String(data=urdf(self.rig)))
         self.clock_publisher = self.create_publisher(Clock, "/clock", 10) if given.lockstep else None
         self.inputs = {
             COMMAND: self.subscribe_to(BraceCommand, COMMAND, self.on_command, STREAM_QOS, raw=True),
             GROUND: self.subscribe_to(AccelStamped, GROUND, self.on_ground_motion, STREAM_QOS, raw=True),
         }
-        self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, LATCHED_QOS)
+        self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, TRANSIENT_LOCAL_QOS)
         self.create_service(Trigger, "~/clear_fault", self.on_clear_fault)
         self.responses, self.commands = Responses(), BraceCommands()
         self.joints = JointState(name=list(joint_names(self.rig)))
         self.start()
 
     def start(self) -> None:
-        """Set the rig at rest, before sample 0."""
+        """Reset the rig to rest, before sample 0."""
         given = self.parameters
         self.loop = RigLoop(self.rig, given.seed, given.command_timeout)
-        self.loop.kill_sensors(given.sensor_faults)
+        self.loop.set_sensor_faults(given.sensor_faults)
         start = 0 if given.lockstep else self.get_clock().now().nanoseconds
         self.schedule = Schedule(self.rig.sample_rate, start, time.monotonic(), given.duration)
-        self.next_look = 0.0
+        self.next_display = 0.0
 
     def activate(self) -> None:
         """Start at sample 0; a fault stays latched."""
@@ -108,7 +98,7 @@ class Plant(AbraceLifecycleNode):
         self.due = None
 
     def tick(self) -> None:
-        """The next sample is due, or in lockstep: an answer is overdue."""
+        """Take the sample that is due; in lockstep the first one, or end because an answer is missing."""
         if not self.parameters.lockstep:
             self.take_sample()
         elif self.loop.sequence < 0:
@@ -116,7 +106,7 @@ class Plant(AbraceLifecycleNode):
             if matched and self.response.get_subscription_count() >= len(self.parameters.wait_for):
                 self.take_sample()
             else:
-                self.due = time.monotonic() + LOOK_PERIOD
+                self.due = time.monotonic() + DISPLAY_PERIOD
         else:
             missing = [name for name in self.parameters.wait_for if not self.loop.answered(name)]
             self.due = None
@@ -127,12 +117,12 @@ class Plant(AbraceLifecycleNode):
             )
 
     def parameter_changed(self, name: str, value: list[str]) -> None:
-        """Channels die or come back, from the next sample on."""
+        """Apply new sensor faults from the next sample on."""
         if self.configured:
-            self.loop.kill_sensors(value)
+            self.loop.set_sensor_faults(value)
 
     def take_sample(self) -> None:
-        """Step the rig, publish its response, set when to wake next."""
+        """Step the rig, publish its response, set when the next sample is due."""
         sample = self.loop.sample()
         if sample.sequence == 0:
             self.began = time.monotonic()
@@ -150,8 +140,8 @@ class Plant(AbraceLifecycleNode):
         )
         self.response.publish(payload)
         now = time.monotonic()
-        if now >= self.next_look:
-            self.next_look = now + LOOK_PERIOD
+        if now >= self.next_display:
+            self.next_display = now + DISPLAY_PERIOD
             self.joints.header.stamp = Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
             self.joints.position = reading[:floors]
             self.joint_states.publish(self.joints)
@@ -165,31 +155,31 @@ class Plant(AbraceLifecycleNode):
             self.due = self.schedule.next_due(sample.sequence, now)
 
     def end(self, now: float) -> None:
-        """The run is over: the last sample has been taken, in lockstep also answered."""
+        """End the run after the last sample, in lockstep after its answers."""
         self.due = None
         self.finish(0, f"done: {self.loop.sequence + 1} samples in {now - self.began:.2f} s")
 
     def on_command(self, payload: bytes) -> None:
-        """A command answers a sample."""
+        """Accept a command."""
         if self.active:
             try:
-                self.loop.take_command(*self.commands.unpack(payload))
+                self.loop.receive_command(*self.commands.unpack(payload))
             except AbraceError as error:
                 self.loop.fault(str(error))
-            self.move_on()
+            self.advance()
 
     def on_ground_motion(self, payload: bytes) -> None:
-        """A ground acceleration answers a sample."""
+        """Accept a ground acceleration."""
         if self.active:
             try:
                 stamp, acceleration = unpack_acceleration(payload)
-                self.loop.take_ground_acceleration(self.schedule.sequence(stamp), acceleration)
+                self.loop.receive_ground_acceleration(self.schedule.sequence(stamp), acceleration)
             except AbraceError as error:
                 self.loop.fault(str(error))
-            self.move_on()
+            self.advance()
 
-    def move_on(self) -> None:
-        """In lockstep: take the next sample when everything that is waited for has answered."""
+    def advance(self) -> None:
+        """In lockstep, take the next sample once every input of `wait_for` has answered."""
         if self.parameters.lockstep and self.due is not None and self.exit_code is None:
             for name in self.parameters.wait_for:
                 if not self.loop.answered(name):
@@ -200,13 +190,13 @@ class Plant(AbraceLifecycleNode):
                 self.take_sample()
 
     def on_emergency_stop(self, message: Bool) -> None:
-        """Someone pressed the button, or released it."""
+        """The emergency stop is pressed or released."""
         self.pressed = message.data
         if self.pressed:
             self.loop.fault("emergency stop")
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """A person clears the latched fault."""
+        """Clear the latched fault."""
         reason = self.loop.fault_reason
         response.success = reason is not None and not self.pressed
         if response.success:
@@ -222,8 +212,8 @@ class Plant(AbraceLifecycleNode):
             return None, "not configured", {}
         values: dict[str, object] = {
             "sequence": self.loop.sequence,
-            "behind": self.schedule.behind,
-            "held_up": round(self.schedule.held_up, 3),
+            "behind": self.schedule.overruns,
+            "held_up": round(self.schedule.shift, 3),
             **self.loop.counters(),
         }
         return self.loop.fault_reason, "running" if self.active else "not active", values

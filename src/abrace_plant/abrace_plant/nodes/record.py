@@ -1,4 +1,4 @@
-"""The node `record`: a record's intensity measures and response spectra, as read and as it would be played."""
+"""The node `record`: intensity measures and response spectra of a record, as read and as played."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from abrace_core.files import write_text
 from abrace_core.node import AbraceNode, Parameter, run
 from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS, read_as_given, treatment_as_given
 from abrace_plant.records.figure import Motion, record_figure
-from abrace_plant.records.files import Record
 from abrace_plant.records.intensity import STANDARD_GRAVITY, Intensity, intensity
+from abrace_plant.records.record import Record
 from abrace_plant.records.response_spectrum import response_spectrum
 from abrace_plant.records.treatment import prepare
 

@@ -1,1 +1,1 @@
-"""Files of recorded ground motions to accelerations for the table, with their measures and spectra."""
+"""Ground motion records: takes files of many formats, gives accelerations for the table, intensity and spectra."""

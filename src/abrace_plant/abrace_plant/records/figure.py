@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from abrace_plant.records.files import Record
     from abrace_plant.records.intensity import Intensity
+    from abrace_plant.records.record import Record
     from abrace_plant.records.response_spectrum import ResponseSpectrum
 
 RECORDED: dict[str, Any] = {"color": MEASURED, "lw": 1.5}
@@ -32,7 +32,7 @@ Motion = tuple["Record", "Intensity", "ResponseSpectrum"]
 
 
 def record_figure(recorded: Motion, played: Motion) -> Figure:
-    """A record beside the motion that is played of it.
+    """A record and the motion that is played of it, in one figure.
 
     Parameters
     ----------

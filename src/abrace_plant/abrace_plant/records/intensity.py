@@ -1,8 +1,8 @@
 """Velocity, displacement and intensity measures of a recorded or played ground motion.
 
 The acceleration is taken to be linear between samples, from rest at the first. Velocity and displacement are the exact
-integrals of that. The integrals of a^2 and |a| are taken by the trapezoidal rule, which for a^2 is exact for a motion
-that its sample rate holds, but for its ends.
+integrals of that. The integrals of a^2 and |a| are by the trapezoidal rule, which for a^2 of a band-limited motion is
+exact but for the ends.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
+from abrace_plant.records.record import check_record
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from abrace_plant.records.files import Record
+    from abrace_plant.records.record import Record
 
 STANDARD_GRAVITY = 9.80665
 """g [m/s^2]."""
@@ -38,7 +38,7 @@ class Intensity:
     cumulative_absolute_velocity
         CAV, the integral of the absolute acceleration [m/s] (EPRI NP-5930, 1988).
     significant_from, significant_to
-        When 5 % and 95 % of the Arias intensity have come, in seconds after the first sample (Trifunac and Brady,
+        Times after the first sample at which 5 % and 95 % of the Arias intensity are reached [s] (Trifunac and Brady,
         1975).
     """
 
@@ -54,32 +54,6 @@ class Intensity:
     def significant_duration(self) -> float:
         """D5-95 [s]."""
         return self.significant_to - self.significant_from
-
-
-def check_motion(motion: Record) -> None:
-    """Refuse a motion that cannot be integrated.
-
-    Parameters
-    ----------
-    motion
-        Recorded or played.
-
-    Raises
-    ------
-    AbraceError
-        If it has less than two samples, one that is not finite, or no sample period.
-    """
-    samples = len(motion.acceleration)
-    if samples < 2:
-        raise AbraceError(f"ground motion {motion.name}: {samples} samples, expected at least 2")
-    finite = np.isfinite(motion.acceleration)
-    if not finite.all():
-        bad = int(np.argmin(finite))
-        raise AbraceError(
-            f"ground motion {motion.name}: sample {bad + 1} is {motion.acceleration[bad]}, expected a finite number"
-        )
-    if not (np.isfinite(motion.sample_period) and motion.sample_period > 0):
-        raise AbraceError(f"ground motion {motion.name}: sample period {motion.sample_period} s, expected more than 0")
 
 
 def integrate(
@@ -139,9 +113,9 @@ def intensity(motion: Record) -> Intensity:
     Raises
     ------
     AbraceError
-        As in `check_motion`.
+        As in `check_record`.
     """
-    check_motion(motion)
+    check_record(motion)
     period = motion.sample_period
     size = np.abs(motion.acceleration)
     velocity, displacement = integrate(motion.acceleration, period)
@@ -159,7 +133,7 @@ def intensity(motion: Record) -> Intensity:
 
 
 def _moment(built_up: NDArray[np.float64], share: float, period: float) -> float:
-    """When a share of the whole has come [s], straight between samples; 0 where nothing comes."""
+    """Time at which a share of the build-up is reached [s], interpolated linearly; 0 for a motion of zeros."""
     level = share * built_up[-1]
     after = int(np.argmax(built_up >= level))
     if after == 0:

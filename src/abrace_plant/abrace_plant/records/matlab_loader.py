@@ -1,4 +1,4 @@
-"""Loads a MATLAB file in a process of its own, for SciPy's reader takes the whole process down with some damaged files.
+"""Loads a MATLAB file in a process of its own, because SciPy's reader crashes the process on some damaged files.
 
 Run as a program with a path it writes the variables, pickled, to standard output, or one line of what is wrong to
 standard error.

@@ -1,7 +1,6 @@
-"""What every reader of a record shares: units of acceleration, the lines of a text, and the checks of what was read.
+"""What the readers of all formats share: units of acceleration, lines of text, and the checks of what was read.
 
-Files say their unit in many ways; `unit_named` knows them in one table. Whatever the format, a reading is two finite
-values or more, and its times, where the file has some, are equal steps.
+Whatever the format, a reading has two finite values or more, and its times, where the file has some, equal steps.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 UNITS = {"g": 9.80665, "m/s^2": 1.0, "cm/s^2": 0.01}
-"""Units of acceleration that a person may name, in m/s^2."""
+"""Units of acceleration, in m/s^2."""
 
 _SPELLINGS = {
     "g": ("g",),
@@ -30,24 +29,24 @@ _SPELLINGS = {
         *("gal", "gals"),
     ),
 }
-"""How headers of files spell the units, capital letters and spaces apart."""
+"""Spellings of the units in headers of files, without capital letters and spaces."""
 
 TIME_TOLERANCE = 0.02
-"""How far printed times may lie from equal steps, in steps (a missing sample is half a step off, or more)."""
+"""Greatest deviation of printed times from equal steps, in steps (that of a missing sample is at least half a step)."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What stands in a file.
+    """The content of a file.
 
     Parameters
     ----------
     acceleration
         (samples,) in `unit`, at least two, all finite.
     sample_period
-        [s]; None where the file does not say it.
+        [s]; None where the file does not state it.
     unit
-        One of `UNITS`; None where the file does not say it.
+        One of `UNITS`; None where the file does not state it.
     """
 
     acceleration: NDArray[np.float64]
@@ -62,32 +61,32 @@ def unit_named(spelling: str) -> str | None:
 
 
 def record_error(name: str, message: str, where: str = "") -> AbraceError:
-    """An error about the record of this name, where in it (`line 3`), and the message that says what is wrong."""
+    """An error with this message about the record of this name, and where in it, as `line 3`."""
     return AbraceError(f"ground motion {name}{where and ', '}{where}: {message}")
 
 
 def checked_reading(
     values: ArrayLike,
-    place: Callable[[str, int | None], AbraceError],
+    error_at: Callable[[str, int | None], AbraceError],
     *,
     unit: str | None,
     sample_period: float | None = None,
     times: ArrayLike | None = None,
 ) -> Reading:
-    """A reading of values, once they and their times are checked.
+    """Values and times as a reading, after checks.
 
     Parameters
     ----------
     values
         (samples,) in `unit`.
-    place
-        Gives the error for a message about a sample (counted from 0), or about the whole file if that is None.
+    error_at
+        Makes the error of a message about a sample (the first is 0), or about the whole file (None).
     unit
-        One of `UNITS`; None where the file does not say it.
+        One of `UNITS`; None where the file does not state it.
     sample_period
-        [s], where the file says it.
+        [s], where the file states it.
     times
-        (samples,) [s], where the file has them: they say the period.
+        (samples,) [s], where the file has them: they give the period.
 
     Raises
     ------
@@ -96,37 +95,37 @@ def checked_reading(
     """
     acceleration = np.asarray(values, dtype=np.float64)
     if len(acceleration) < 2:
-        raise place(f"{len(acceleration)} values, expected at least 2", None)
+        raise error_at(f"{len(acceleration)} values, expected at least 2", None)
     wrong = np.flatnonzero(~np.isfinite(acceleration))
     if wrong.size:
-        raise place(f"{acceleration[wrong[0]]:g}, expected a finite acceleration", int(wrong[0]))
+        raise error_at(f"{acceleration[wrong[0]]:g}, expected a finite acceleration", int(wrong[0]))
     if times is not None:
-        sample_period = _equal_step(np.asarray(times, dtype=np.float64), place)
+        sample_period = _equal_step(np.asarray(times, dtype=np.float64), error_at)
     return Reading(acceleration, sample_period, unit)
 
 
-def _equal_step(times: NDArray[np.float64], place: Callable[[str, int | None], AbraceError]) -> float:
+def _equal_step(times: NDArray[np.float64], error_at: Callable[[str, int | None], AbraceError]) -> float:
     """The equal step of times [s]."""
     with np.errstate(over="ignore", invalid="ignore"):
         period = float((times[-1] - times[0]) / (len(times) - 1))
         off = np.abs(times - times[0] - period * np.arange(len(times)))
         if not (math.isfinite(period) and period > 0):
-            raise place("times that do not increase, expected equal steps", len(times) - 1)
+            raise error_at("times that do not increase, expected equal steps", len(times) - 1)
         if not off.max() <= TIME_TOLERANCE * period:
             steps = np.diff(times)
             usual = float(np.median(steps))
             worst = int(np.argmax(np.abs(steps - usual))) + 1
-            raise place(f"time step {steps[worst - 1]:g} s, expected equal steps of {usual:g} s", worst)
+            raise error_at(f"time step {steps[worst - 1]:g} s, expected equal steps of {usual:g} s", worst)
     return period
 
 
 class RecordText:
-    """The lines of a text that holds a record, and errors that name one of them.
+    """The lines of a text file, and errors that name a line.
 
     Parameters
     ----------
     name
-        What the person called the record.
+        Of the record, as the user gave it.
     content
         The file, in ASCII or an encoding that extends it: numbers are ASCII, and a letter of another encoding in a
         station's name does no harm.
@@ -134,7 +133,7 @@ class RecordText:
     Raises
     ------
     AbraceError
-        If it is no text, or there is nothing in it.
+        If it is not a text, or empty.
     """
 
     def __init__(self, name: str, content: bytes) -> None:
@@ -151,8 +150,8 @@ class RecordText:
         """An error with this message about a line (the first is 1), or about the whole file."""
         return record_error(self.name, message, f"line {line}" if line else "")
 
-    def place(self, lines: Sequence[int]) -> Callable[[str, int | None], AbraceError]:
-        """Errors by sample, given the lines in which the samples stand."""
+    def errors_at(self, lines: Sequence[int]) -> Callable[[str, int | None], AbraceError]:
+        """The `error_at` of `checked_reading` for samples that are in these `lines`."""
         return lambda message, sample: self.error(message, None if sample is None else lines[sample])
 
     def content(self) -> list[tuple[int, str]]:
@@ -164,7 +163,7 @@ class RecordText:
         return found
 
     def number(self, word: str, line: int) -> float:
-        """The finite number that a word in a line says."""
+        """A word in a line as a finite number."""
         try:
             value = math.nan if "_" in word else float(word)
         except ValueError:

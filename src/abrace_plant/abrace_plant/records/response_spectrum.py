@@ -16,14 +16,14 @@ import numpy as np
 from scipy import linalg, signal
 
 from abrace_core.errors import AbraceError
-from abrace_plant.records.intensity import check_motion
+from abrace_plant.records.record import check_record
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from abrace_plant.records.files import Record
+    from abrace_plant.records.record import Record
 
 PERIODS = np.geomspace(0.05, 5.0, 121)
 """Natural periods [s] of a spectrum that is drawn."""
@@ -80,9 +80,9 @@ def response_spectrum(
     Raises
     ------
     AbraceError
-        If a period or ratio is out of range, or as in `check_motion`.
+        If a period or ratio is out of range, or as in `check_record`.
     """
-    check_motion(motion)
+    check_record(motion)
     natural = np.asarray(periods, dtype=np.float64)
     ratios = np.asarray(damping_ratios, dtype=np.float64)
     if not (np.isfinite(natural).all() and (natural > 0).all()):

@@ -14,22 +14,23 @@ import numpy as np
 from scipy import fft, signal
 
 from abrace_core.errors import AbraceError
-from abrace_plant.records.intensity import check_motion, integrate
+from abrace_plant.records.intensity import integrate
+from abrace_plant.records.record import check_record
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from abrace_plant.records.files import Record
+    from abrace_plant.records.record import Record
 
-UNCHANGED = 0.8
-"""Share of the band limit at which the motion begins to fade out; at the limit it is gone."""
+PASSBAND = 0.8
+"""End of the low-pass filter's pass band over the band limit, at which its stop band starts."""
 STOPBAND = 100.0
-"""dB by which everything beyond the band limit is suppressed; the motion below is changed by as little (1e-5)."""
+"""Attenuation beyond the band limit [dB]; the ripple in the pass band is as small (1e-5)."""
 RESAMPLING_STOPBAND = 105.0
-"""The same where the limit is half the lower sample rate: images of the highest frequencies at its edge add to that."""
+"""The same where the limit is half the lower sample rate, at which images of the highest frequencies add up."""
 FADE = 0.5
-"""Seconds over which a motion that is cut fades to zero."""
-FINEST = 5000
+"""Seconds of the cosine taper at the end of a motion that is cut."""
+MAX_RATIO = 5000
 """Greatest denominator of the ratio of the two sample rates."""
 BASELINES = {"none": 0, "constant": 1, "linear": 2, "quadratic": 3}
 """Baselines that can be removed from an acceleration, and how many coefficients each has."""
@@ -52,15 +53,15 @@ class Treatment:
         Time of the played motion over time of the record: the square root of the length scale for a model under the
         same gravity and the same accelerations. 1: as recorded.
     taper
-        Seconds at each end of the record over which it rises from zero and falls to zero, in a straight line. What it
-        takes away makes velocity and displacement drift, unless a low cut follows.
+        Length of the linear taper at each end of the record [s]. Without a low cut it makes velocity and displacement
+        drift.
     low_cut
         Frequency below which the motion is removed [Hz], without a shift in time; the amplitude is half there, as after
         a Butterworth filter of order 4 forwards and backwards. The motion begins and ends with velocity zero. 0: none.
     band_limit
-        Frequency beyond which nothing is left [Hz]; below 0.79 times it the motion is unchanged within 1e-5. 0, or more
-        than half of the record's or of the rig's sample rate: that half, below 0.8 times which it is unchanged within
-        1e-5, and no filter where the two rates are equal.
+        End of the low-pass filter [Hz]; below 0.79 times it the motion is unchanged within 1e-5. 0, or more than half
+        of the record's or of the rig's sample rate: that half, below 0.8 times which it is unchanged within 1e-5, and
+        no filter where the two rates are equal.
     peak_acceleration
         Greatest absolute value of the whole treated motion [m/s^2], met exactly, before a longer motion is cut; 0: as
         recorded.
@@ -100,7 +101,7 @@ def prepare(record: Record, sample_rate: float, treatment: Treatment | None = No
     sample_rate
         Of the rig [Hz].
     treatment
-        What to do beside resampling; None: nothing.
+        What to do besides resampling; None: nothing.
 
     Returns
     -------
@@ -111,10 +112,10 @@ def prepare(record: Record, sample_rate: float, treatment: Treatment | None = No
     ------
     AbraceError
         If the treatment does not fit the record: a taper longer than half of it, a low cut beyond what is left, a peak
-        asked of a record of zeros; or as in `intensity.check_motion`.
+        asked of a record of zeros; or as in `check_record`.
     """
     asked = treatment or Treatment()
-    check_motion(record)
+    check_record(record)
     where = f"ground motion {record.name}"
     if not (np.isfinite(sample_rate) and sample_rate > 0):
         raise AbraceError(f"{where}: sample_rate {sample_rate}, expected more than 0")
@@ -124,8 +125,8 @@ def prepare(record: Record, sample_rate: float, treatment: Treatment | None = No
     length = (len(record.acceleration) - 1) * period
     if asked.taper > length / 2:
         raise AbraceError(f"{where}: taper {asked.taper:g} s, expected at most half of the motion's {length:g} s")
-    held = min(1 / period, sample_rate) / 2
-    limit = min(asked.band_limit or held, held)
+    nyquist = min(1 / period, sample_rate) / 2
+    limit = min(asked.band_limit or nyquist, nyquist)
     if asked.low_cut >= limit:
         raise AbraceError(
             f"{where}: low_cut {asked.low_cut:g} Hz, expected less than {limit:g} Hz, the band's upper end"
@@ -203,10 +204,10 @@ def _resample(
     A Kaiser-windowed low-pass filter, applied in its polyphase form (Oppenheim and Schafer, sec. 4.7): its pass band
     ends at 0.8 of the limit, its stop band starts at the limit.
     """
-    ratio = Fraction(sample_rate * period).limit_denominator(FINEST)
+    ratio = Fraction(sample_rate * period).limit_denominator(MAX_RATIO)
     if ratio == 0:
         raise AbraceError(
-            f"{where}: sample rate {1 / period:g} Hz, expected less than {FINEST} times the rig's {sample_rate:g} Hz"
+            f"{where}: sample rate {1 / period:g} Hz, expected less than {MAX_RATIO} times the rig's {sample_rate:g} Hz"
         )
     up, down = ratio.numerator, ratio.denominator
     needed = -(-samples * down // up) + 1
@@ -217,9 +218,9 @@ def _resample(
         return padded[:samples]
     rate = up / period
     stopband = RESAMPLING_STOPBAND if only_resampled else STOPBAND
-    length, beta = signal.kaiserord(stopband, (1 - UNCHANGED) * limit / (rate / 2))
+    length, beta = signal.kaiserord(stopband, (1 - PASSBAND) * limit / (rate / 2))
     # half the kernel is a whole number of output samples, which are then dropped: no delay is left
     delay = -(-(length // 2) // down)
-    kernel = signal.firwin(2 * delay * down + 1, (1 + UNCHANGED) / 2 * limit, window=("kaiser", beta), fs=rate)
+    kernel = signal.firwin(2 * delay * down + 1, (1 + PASSBAND) / 2 * limit, window=("kaiser", beta), fs=rate)
     motion = signal.upfirdn(up * kernel, padded, up, down)
     return np.asarray(motion[delay : delay + samples], dtype=np.float64)

@@ -1,1 +1,1 @@
-"""A rig file to a model of the rig, its motion within its limits, and what its sensors read."""
+"""A rig: takes a rig file, gives its linear model, its motion within the limits, and its sensors' readings."""

@@ -38,7 +38,7 @@ class Actuator:
     stroke_limit
         Travel to each side [m], at whose ends the piston meets the stops.
     stop_stiffness
-        Of a stop and what stands in series with it [N/m].
+        Of a stop with the parts in series [N/m].
     command_delay
         Between a command and the valve [s].
     """

@@ -1,4 +1,4 @@
-"""The frame: lumped floor masses, condensed stiffness and damping, and the ways in which people state them.
+"""The frame: lumped floor masses, condensed stiffness and damping, and the ways to state them.
 
     M x'' + C x' + K x = -M 1 w + forces
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 ALIKE = 0.2
 """Greatest cosine, in the mass metric, between two measured mode shapes. The modes of a frame have 0; a modal test
-counts as good up to 0.1 (the orthogonality criterion of NASA-STD-5002); twice that is taken for a typing mistake."""
+counts as good up to 0.1 (the orthogonality criterion of NASA-STD-5002); more than 0.2 is taken for a typing mistake."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
-"""A rig measured as the paper measured its building: frequencies and damping, bench test, f/U in place, first mode.
+"""A rig measured as the paper measured its building: frequencies, damping, bench test, f/U in the building, first mode.
 
-Everything is taken from the rig's own linear model, which the simulated rig follows exactly below its limits.
+Everything is computed from the rig's linear model, which the simulated rig follows exactly within its limits.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
 
 LINES = 4000
-"""Lines of a frequency response that is looked through for minima."""
+"""Lines of a frequency response in which minima are searched."""
 
 Pairs = tuple[tuple[float, float], ...]
 """(frequency [rad/s], damping ratio) of pole pairs, slowest first."""
@@ -53,7 +53,7 @@ class BraceCharacteristics:
 
 @dataclass(frozen=True)
 class Characteristics:
-    """What is measured of a rig.
+    """Frequencies, damping, first mode and braces of a rig.
 
     Parameters
     ----------
@@ -103,8 +103,8 @@ def characterize(rig: Rig) -> Characteristics:
         zero_command.append(nearest)
     values, vectors = np.linalg.eig(rig.model.a)
     first = vectors[:, np.argmin(np.abs(np.abs(values) - zero_command[0][0]) + 1e9 * (values.imag <= 0))]
-    seen = rig.model.c @ first
-    floors, strokes = seen[: rig.floors], seen[rig.floors : rig.floors + rig.groups]
+    outputs = rig.model.c @ first
+    floors, strokes = outputs[: rig.floors], outputs[rig.floors : rig.floors + rig.groups]
     braces = []
     for number, group in enumerate(rig.braces):
         gain_error, lag = _bench(group.actuator)
@@ -126,7 +126,7 @@ def characterize(rig: Rig) -> Characteristics:
 
 
 def comparison(found: Characteristics) -> list[tuple[str, str, float, float]]:
-    """Rows (quantity, unit, found, published) of the paper's rig; the ones that the paper gives.
+    """Rows (quantity, unit, found, published) of the quantities that the paper gives of its rig.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def comparison(found: Characteristics) -> list[tuple[str, str, float, float]]:
 
 
 def as_json(found: Characteristics, rig: Rig) -> dict[str, Any]:
-    """What the node writes: the characteristics [SI units; None: none] and, for the paper's rig, the comparison.
+    """The content of characteristics.json: SI units, None where there is none; for the paper's rig the comparison.
 
     Parameters
     ----------

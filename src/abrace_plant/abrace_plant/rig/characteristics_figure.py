@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def characteristics_figure(rig: Rig, found: Characteristics) -> Figure:
-    """Bench test, f/U in the building, poles and first mode; the paper's numbers beside those of its own rig.
+    """Bench test, f/U in the building, poles and first mode, of the paper's rig with the paper's numbers.
 
     Parameters
     ----------

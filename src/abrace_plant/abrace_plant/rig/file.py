@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LARGEST = 1e15
-"""Number in SI units, and 1 over the smallest positive one, so that none overflows before its unit is judged."""
+"""Largest number in SI units, and 1 over the smallest positive one: no ratio of two overflows."""
 
 
 def _not_tiny(number: float) -> float:
@@ -140,23 +140,16 @@ def _rig(content: _Rig) -> Rig:
     for i, group in enumerate(content.braces):
         _expect(group.floor <= floors, f"braces.{i}.floor", group.floor, f"a floor from 1 to {floors}")
     for i, mode in enumerate(content.local_modes):
-        _expect_one_each(mode.brace_share, f"local_modes.{i}.brace_share", f"{groups} brace groups")
-        _expect_one_each(mode.accelerometer_share, f"local_modes.{i}.accelerometer_share", f"{floors} floors")
+        _expect_one_each(mode.brace_share, f"local_modes.{i}.brace_share", groups, "brace groups")
+        _expect_one_each(mode.accelerometer_share, f"local_modes.{i}.accelerometer_share", floors, "floors")
 
     rig = Rig(
         name=content.name,
         sample_rate=content.sample_rate,
-        table=Table(**content.table.model_dump()),
+        table=Table(**dict(content.table)),
         building=Building(masses, stiffness, damping),
         braces=tuple(
-            BraceGroup(
-                group.floor,
-                group.count,
-                group.cosine,
-                group.stiffener_stiffness,
-                Actuator(**group.actuator.model_dump()),
-            )
-            for group in content.braces
+            BraceGroup(**dict(group) | {"actuator": Actuator(**dict(group.actuator))}) for group in content.braces
         ),
         local_modes=tuple(
             LocalMode(
@@ -168,7 +161,7 @@ def _rig(content: _Rig) -> Rig:
             )
             for mode in content.local_modes
         ),
-        sensors=SensorSet(**{key: Sensor(**value) for key, value in content.sensors.model_dump().items()}),
+        sensors=SensorSet(**{kind: Sensor(**dict(sensor)) for kind, sensor in content.sensors}),
         storey_height=content.building.storey_height,
     )
     check_units(rig, stated_stiffness, stated_damping)
@@ -182,27 +175,27 @@ def _stiffness(building: _Building) -> tuple[NDArray[np.float64], list[Number]]:
     _expect_one_of(building, "storey_stiffness", "stiffness", "modes")
     if building.storey_stiffness is not None:
         key, storeys = "building.storey_stiffness", building.storey_stiffness
-        _expect_one_each(storeys, key, f"{floors} storeys")
+        _expect_one_each(storeys, key, floors, "storeys")
         return shear_stiffness(np.array(storeys)), _numbers(key, storeys, "N/m", 0.5)
     if building.stiffness is not None:
         key, rows = "building.stiffness", [len(row) for row in building.stiffness]
         _expect(rows == [floors] * floors, key, f"rows of {rows} numbers", f"{floors} rows of {floors}")
         matrix = np.array(building.stiffness)
-        unlike = np.abs(matrix - matrix.T)
-        i, j = divmod(int(np.argmax(unlike)), floors)
+        asymmetry = np.abs(matrix - matrix.T)
+        i, j = divmod(int(np.argmax(asymmetry)), floors)
         pair = f"not symmetric: {matrix[i, j]:.9g} in row {i + 1}, column {j + 1}, and {matrix[j, i]:.9g} opposite"
-        _expect(unlike.max() <= 1e-9 * np.abs(matrix).max(), key, pair, "symmetry")
+        _expect(asymmetry.max() <= 1e-9 * np.abs(matrix).max(), key, pair, "symmetry")
         diagonal = [Number(f"{key}.{i}.{i}", value, "N/m", 0.5) for i, value in enumerate(np.diag(matrix))]
         return (matrix + matrix.T) / 2, diagonal
     modes = building.modes
     assert modes is not None
     key, frequencies = "building.modes.frequencies", modes.frequencies
-    _expect_one_each(frequencies, key, f"{floors} modes, as many as floors")
+    _expect_one_each(frequencies, key, floors, "modes, as many as floors")
     ascending = all(slower < faster for slower, faster in pairwise(frequencies))
     _expect(ascending, key, frequencies, "frequencies in ascending order, the slowest first")
-    _expect_one_each(modes.shapes, "building.modes.shapes", f"{floors} modes, as many as floors", "shapes")
+    _expect_one_each(modes.shapes, "building.modes.shapes", floors, "modes, as many as floors", "shapes")
     for i, shape in enumerate(modes.shapes):
-        _expect_one_each(shape, f"building.modes.shapes.{i}", f"{floors} floors")
+        _expect_one_each(shape, f"building.modes.shapes.{i}", floors, "floors")
     try:
         matrix = stiffness_of_modes(np.array(building.masses), np.array(frequencies), np.array(modes.shapes).T)
     except AbraceError as error:
@@ -216,7 +209,7 @@ def _damping(building: _Building, stiffness: NDArray[np.float64]) -> tuple[NDArr
     _expect_one_of(building, "damping_ratios", "rayleigh")
     if building.damping_ratios is not None:
         key, ratios = "building.damping_ratios", building.damping_ratios
-        _expect_one_each(ratios, key, f"{floors} floors")
+        _expect_one_each(ratios, key, floors, "floors")
         return modal_damping(masses, stiffness, np.array(ratios)), _numbers(key, ratios, "of critical")
     rayleigh = building.rayleigh
     assert rayleigh is not None
@@ -232,7 +225,7 @@ def _damping(building: _Building, stiffness: NDArray[np.float64]) -> tuple[NDArr
 
 
 def _expect_definite(key: str, masses: NDArray[np.float64], stiffness: NDArray[np.float64]) -> None:
-    """Every displacement takes energy, by more than rounding errors."""
+    """The stiffness must be positive definite, by more than rounding errors."""
     root = np.sqrt(masses)
     squares = np.linalg.eigvalsh(stiffness / np.outer(root, root))
     found = f"squares of the frequencies {', '.join(f'{square:.4g}' for square in squares)} 1/s^2"
@@ -240,7 +233,7 @@ def _expect_definite(key: str, masses: NDArray[np.float64], stiffness: NDArray[n
 
 
 def _expect_fast_enough(rig: Rig) -> None:
-    """Half the sample rate must be above every mode: nothing beyond it is seen, or controlled."""
+    """Half the sample rate must be above every mode: faster ones are aliased and cannot be controlled."""
     stiffness = rig.building.stiffness + sum(
         group.stiffener_stiffness * np.outer(group.direction(rig.floors), group.direction(rig.floors))
         for group in rig.braces
@@ -263,9 +256,10 @@ def _expect(holds: bool, key: str, found: object, expected: str) -> None:
         raise AbraceError(f"{key}: {found}, expected {expected}")
 
 
-def _expect_one_each(values: list[float] | list[list[float]], key: str, of: str, what: str = "numbers") -> None:
-    """Expect as many values as `of` says in its first word."""
-    _expect(len(values) == int(of.split()[0]), key, f"{len(values)} {what}", f"one for each of {of}")
+def _expect_one_each(
+    values: list[float] | list[list[float]], key: str, count: int, of: str, what: str = "numbers"
+) -> None:
+    _expect(len(values) == count, key, f"{len(values)} {what}", f"one for each of {count} {of}")
 
 
 def _expect_one_of(building: _Building, *keys: str) -> None:

@@ -1,11 +1,11 @@
-"""The rig as one linear model: building, braces with their actuators, local modes; `rig_motion` steps it.
+"""The rig as one linear model: building, braces with their actuators, local modes; `motion` steps it.
 
 States: floor displacements x, local modal displacements q, their velocities, and for each brace group the force f of
 one brace and the servo's integral g. Inputs: the table's acceleration w and the commands U. Outputs:
 z = [x, strokes, absolute accelerations, forces], as recorded in the paper.
 
 A brace group pushes its floor with `count * cosine * f`; its stroke is `cosine * (x_floor - x_below)` plus its share of
-the local modes. The stiffeners beside a brace are outside its load cell: they act on the floors directly.
+the local modes. The stiffeners act on the floors directly: a brace's load cell does not measure their force.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BraceGroup:
-    """Equal braces side by side below one floor.
+    """Equal braces in parallel below one floor.
 
     Parameters
     ----------
@@ -48,8 +48,8 @@ class BraceGroup:
     actuator
         The actuator in each brace.
     connected
-        Whether braces and stiffeners are bolted to the floor and the servo is on; a group that is not neither pushes
-        nor measures anything.
+        Whether braces and stiffeners are bolted to the floor and the servo is on; a disconnected group neither pushes
+        nor measures.
     """
 
     floor: int
@@ -79,9 +79,9 @@ class LocalMode:
     mass
         Modal mass [kg].
     brace_share
-        (groups,) what a brace's stroke sees of the modal displacement; its force excites the mode by the same share.
+        (groups,) share of the modal displacement in a brace's stroke, and of its force in the modal force.
     accelerometer_share
-        (floors,) what each floor's accelerometer sees of the modal acceleration.
+        (floors,) share of the modal acceleration in each floor's accelerometer.
     """
 
     frequency: float
@@ -93,7 +93,7 @@ class LocalMode:
 
 @dataclass(frozen=True)
 class Table:
-    """What the shake table can do.
+    """Limits of the shake table.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class Rig:
     Parameters
     ----------
     name
-        What the laboratory calls it.
+        The laboratory's name of it.
     sample_rate
         Hz.
     table
@@ -122,7 +122,7 @@ class Rig:
     building, braces, local_modes
         The physical parts; no braces: the bare frame.
     sensors
-        What stands between the quantities and the record.
+        Those that measure the outputs.
     storey_height
         m, for drawing.
     """
@@ -161,7 +161,7 @@ class Rig:
         return replace(self, braces=(), local_modes=())
 
     def disconnect(self, groups: Collection[int]) -> Rig:
-        """The same rig with some brace `groups` (the first is 1) taken off the building.
+        """The same rig with some brace `groups` (the first is 1) disconnected.
 
         Raises
         ------
@@ -218,16 +218,16 @@ class Rig:
         a[g, f] = -np.eye(groups)
         b[g, 1:] = np.diag(connected)
 
-        seen = np.zeros((n, dofs))
-        seen[:, :n] = np.eye(n)
+        accelerometers = np.zeros((n, dofs))
+        accelerometers[:, :n] = np.eye(n)
         for i, mode in enumerate(self.local_modes):
-            seen[:, n + i] = mode.accelerometer_share
+            accelerometers[:, n + i] = mode.accelerometer_share
         c, d = np.zeros((2 * n + 2 * groups, states)), np.zeros((2 * n + 2 * groups, 1 + groups))
         c[:n, :n] = np.eye(n)
         c[n : n + groups, x] = stroke
         accelerations = slice(n + groups, 2 * n + groups)
-        c[accelerations] = seen @ a[v]
-        d[accelerations] = seen @ b[v]
+        c[accelerations] = accelerometers @ a[v]
+        d[accelerations] = accelerometers @ b[v]
         d[accelerations, 0] += 1.0
         c[2 * n + groups :, f] = np.eye(groups)
         inputs = (signals.GROUND, *signals.command_names(groups)) if groups else (signals.GROUND,)

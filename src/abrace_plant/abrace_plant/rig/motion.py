@@ -19,7 +19,7 @@ ends there. A delayed command changes at the boundary of two substeps.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -32,7 +32,36 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import BraceGroup, Rig
 
 SUBSTEPS = 8.0
-"""How many substeps the fastest of what a limit drives takes: a servo's lag, a floor's radian against its stop."""
+"""Substeps in the shortest time constant of limited motion: a servo's lag, or a radian of a floor against its stop."""
+
+
+_GROUP = np.dtype(
+    [(name, "f8") for name in ("valve_gain", "inverse_lag", "capacity", "flow_limit", "stroke_limit", "stop_stiffness")]
+)
+"""A brace group's connected / tau and 1 / tau [1/s], and the limits of its actuator."""
+_SEGMENT = np.dtype([("substep", "f8"), ("count", "i8")])
+"""Length of a substep [sample periods] and number of substeps."""
+_VALVE, _MOTION, _STROKE = range(3)
+
+
+class _Constants(NamedTuple):
+    """What the motion of a rig is computed from.
+
+    Command delays divide a sample period into segments in which the acting commands are constant.
+    """
+
+    groups: NDArray[np.void]
+    """(groups,) of `_GROUP`."""
+    rows: NDArray[np.float64]
+    """(3, groups, states): of the state the force's rate by the valve, its rate by the motion c / tau v, the stroke."""
+    outputs: NDArray[np.float64]
+    """(states + 1, outputs): z of the state and, in the last row, of the ground acceleration."""
+    segments: NDArray[np.void]
+    """(segments,) of `_SEGMENT`."""
+    ages: NDArray[np.int64]
+    """(segments, groups) samples since the acting command was sent."""
+    responses: NDArray[np.float64]
+    """(segments, rows, states) as from `_responses`."""
 
 
 class RigMotion:
@@ -43,7 +72,7 @@ class RigMotion:
     rig
         The rig.
     refinement
-        Times as many substeps as usual, to see what is left to gain.
+        Times as many substeps as usual, to measure the error of the usual ones.
     """
 
     def __init__(self, rig: Rig, refinement: int = 1) -> None:
@@ -52,41 +81,38 @@ class RigMotion:
         actuators = [group.actuator for group in rig.braces]
         forces = slice(2 * dofs, 2 * dofs + groups)
 
-        # the corrections' ways into the state: the rates of f, and the stops' forces, which act wherever f does
-        ways = np.zeros((states, 2 * groups))
-        ways[forces, :groups] = np.eye(groups)
-        ways[:, groups:] = model.a[:, forces]
+        # how the corrections enter the state: the rates of f, and the stops' forces, which act wherever f does
+        entries = np.zeros((states, 2 * groups))
+        entries[forces, :groups] = np.eye(groups)
+        entries[:, groups:] = model.a[:, forces]
         period = 1 / rig.sample_rate
         longest = min([_shortest_time(rig, group) / SUBSTEPS for group in rig.braces], default=period)
         delay = np.array([actuator.command_delay / period for actuator in actuators])
         whole = np.floor(delay + 1e-9).astype(np.int64)
         part = np.where(delay - whole > 1e-9, delay - whole, 0.0)
-        # the sample period in segments of constant commands, whose ages are counted in samples
         edges = np.unique([0.0, *part, 1.0])
         spans = np.diff(edges)
         counts = np.maximum(1, np.ceil(spans * period / longest - 1e-9)).astype(np.int64) * refinement
         ages = np.array([whole + (part > begin) for begin in edges[:-1]]).reshape(len(spans), groups)
-        responses = np.array([_responses(model.a, model.b, ways, span) for span in (spans / counts * period).tolist()])
-        # the force's rate is that by the valve, s = valve x + U / tau, less that by the motion, c / tau v
-        moving = np.zeros((groups, states))
-        moving[:, dofs : 2 * dofs] = -model.a[forces, dofs : 2 * dofs]
-        rows = np.vstack([model.a[forces] + moving, moving, model.c[floors : floors + groups]])
+        substeps = spans / counts
+        responses = np.array([_responses(model.a, model.b, entries, span) for span in (substeps * period).tolist()])
+        motion = np.zeros((groups, states))
+        motion[:, dofs : 2 * dofs] = -model.a[forces, dofs : 2 * dofs]
         limits = [
             (group.connected / a.lag, 1 / a.lag, a.capacity, a.flow_limit, a.stroke_limit, a.stop_stiffness)
             for group, a in zip(rig.braces, actuators, strict=True)
         ]
-        seen = np.hstack([model.c, model.d[:, :1]]).T
-        self._rig = (
-            np.array(limits, dtype=np.float64).reshape(groups, 6),
-            rows,
-            spans / counts,
-            counts,
-            ages,
-            responses,
-            np.ascontiguousarray(seen),
-            2 * dofs,
+        # a plain tuple, whose type numba finds faster at each call than that of a named one
+        self._constants = tuple(
+            _Constants(
+                groups=np.array(limits, dtype=_GROUP),
+                rows=np.array([model.a[forces] + motion, motion, model.c[floors : floors + groups]]),
+                outputs=np.ascontiguousarray(np.hstack([model.c, model.d[:, :1]]).T),
+                segments=np.array(list(zip(substeps, counts, strict=True)), dtype=_SEGMENT),
+                ages=ages,
+                responses=responses,
+            )
         )
-        self._outputs = len(model.outputs)
         self._state = np.zeros(states)
         self._ground = 0.0
         self._sent = np.zeros((int(whole.max(initial=0)) + 2, groups))
@@ -94,12 +120,12 @@ class RigMotion:
         self.outputs(0.0, np.zeros(groups))
 
     def outputs(self, ground_acceleration: float, command: NDArray[np.float64]) -> NDArray[np.float64]:
-        """z at the next sample, whose ground acceleration is given; the command is sent at it.
+        """z at the next sample, at which the ground has the given acceleration and the command is sent.
 
         Parameters
         ----------
         ground_acceleration
-            At this instant [m/s^2]; linear since the last one, before the first of which it was zero.
+            At that sample [m/s^2]; linear between samples, and zero before the first.
         command
             (groups,) [N], held until the next sample; cut to the capacity.
 
@@ -108,10 +134,8 @@ class RigMotion:
         NDArray
             The outputs in the order of the rig's model.
         """
-        found = np.empty(self._outputs)
-        _next_sample(self._state, self._sent, found, self._ground, ground_acceleration, command, *self._rig)
-        self._ground = ground_acceleration
-        return found
+        before, self._ground = self._ground, ground_acceleration
+        return _next_sample(self._state, self._sent, before, ground_acceleration, command, self._constants)
 
 
 def _shortest_time(rig: Rig, group: BraceGroup) -> float:
@@ -122,17 +146,17 @@ def _shortest_time(rig: Rig, group: BraceGroup) -> float:
 
 
 def _responses(
-    a: NDArray[np.float64], b: NDArray[np.float64], ways: NDArray[np.float64], span: float
+    a: NDArray[np.float64], b: NDArray[np.float64], entries: NDArray[np.float64], span: float
 ) -> NDArray[np.float64]:
     """What a substep adds to the state, a row for each cause: (rows, states).
 
     Rows: the state's own entries before it; the ground acceleration at its begin, and its change until its end; the
     commands; the corrections at its begin, and their change until its end (phi_1 and phi_2 of ETD2RK).
     """
-    n, m = len(a), b.shape[1] + ways.shape[1]
+    n, m = len(a), b.shape[1] + entries.shape[1]
     block = np.zeros((n + 2 * m, n + 2 * m))
     block[:n, :n] = a * span
-    block[:n, n : n + m] = np.hstack([b, ways]) * span
+    block[:n, n : n + m] = np.hstack([b, entries]) * span
     block[n : n + m, n + m :] = np.eye(m)
     block = linalg.expm(block)[:n]
     steps, ramps = block[:, n : n + m], block[:, n + m :]
@@ -145,31 +169,25 @@ def _responses(
 def _next_sample(
     state: NDArray[np.float64],
     sent: NDArray[np.float64],
-    found: NDArray[np.float64],
     ground_before: float,
     ground_now: float,
     command: NDArray[np.float64],
-    limits: NDArray[np.float64],
-    rows: NDArray[np.float64],
-    substeps: NDArray[np.float64],
-    counts: NDArray[np.int64],
-    ages: NDArray[np.int64],
-    responses: NDArray[np.float64],
-    seen: NDArray[np.float64],
-    first_force: int,
-) -> None:
-    """Take `state` to the next sample, observe it in `found`, and put `command` in front of those that were `sent`."""
-    states, groups = len(state), len(command)
+    constants: tuple,
+) -> NDArray[np.float64]:
+    """z at the next sample; advances `state` to it and puts `command` in front of those that were `sent` before."""
+    rig, states, groups = _Constants(*constants), len(state), len(command)
+    # the last states are the forces and the servos' integrals
+    first_force = states - 2 * groups
     after, acting = np.empty(states), np.empty(groups)
     correction, change = np.zeros(2 * groups), np.zeros(2 * groups)
     held = np.zeros(groups, dtype=np.bool_)
     ground = ground_before
-    for segment in range(len(counts)):
-        response = responses[segment]
-        ground_change = substeps[segment] * (ground_now - ground_before)
+    for segment in range(len(rig.segments)):
+        response = rig.responses[segment]
+        ground_change = rig.segments[segment]["substep"] * (ground_now - ground_before)
         for j in range(groups):
-            acting[j] = sent[ages[segment, j], j]
-        for _ in range(counts[segment]):
+            acting[j] = sent[rig.ages[segment, j], j]
+        for _ in range(rig.segments[segment]["count"]):
             for i in range(states):
                 after[i] = response[states, i] * ground + response[states + 1, i] * ground_change
             for j in range(states):
@@ -182,14 +200,15 @@ def _next_sample(
             for stage in range(2):
                 point = after if stage else state
                 for j in range(groups):
-                    gain, valve_gain, capacity, flow_limit, stroke_limit, stop_stiffness = limits[j]
-                    valve, motion, stroke = gain * acting[j], 0.0, 0.0
+                    group = rig.groups[j]
+                    capacity, flow_limit, stroke_limit = group["capacity"], group["flow_limit"], group["stroke_limit"]
+                    valve, motion, stroke = group["valve_gain"] * acting[j], 0.0, 0.0
                     for i in range(states):
-                        valve += rows[j, i] * point[i]
-                        motion += rows[groups + j, i] * point[i]
-                        stroke += rows[2 * groups + j, i] * point[i]
-                    stop = -stop_stiffness * (stroke - min(max(stroke, -stroke_limit), stroke_limit))
-                    valve -= valve_gain * stop
+                        valve += rig.rows[_VALVE, j, i] * point[i]
+                        motion += rig.rows[_MOTION, j, i] * point[i]
+                        stroke += rig.rows[_STROKE, j, i] * point[i]
+                    stop = -group["stop_stiffness"] * (stroke - min(max(stroke, -stroke_limit), stroke_limit))
+                    valve -= group["inverse_lag"] * stop
                     flow = min(max(valve, -flow_limit), flow_limit)
                     rate, force = flow - motion, point[first_force + j]
                     outward = rate > 0 if force > 0 else rate < 0
@@ -205,28 +224,30 @@ def _next_sample(
                             after[i] += response[row + j, i] * change[j]
                 correction[:] = change
             for j in range(groups):
-                force, capacity = after[first_force + j], limits[j, 2]
+                force, capacity = after[first_force + j], rig.groups[j]["capacity"]
                 if not held[j]:
                     state[first_force + j] = min(max(force, -capacity), capacity)
                 after[first_force + j] = state[first_force + j]
             state[:] = after
             ground += ground_change
 
-    for k in range(len(found)):
-        found[k] = seen[states, k] * ground_now
+    z = np.empty(rig.outputs.shape[1])
+    for k in range(len(z)):
+        z[k] = rig.outputs[states, k] * ground_now
     for j in range(states):
-        for k in range(len(found)):
-            found[k] += seen[j, k] * state[j]
+        for k in range(len(z)):
+            z[k] += rig.outputs[j, k] * state[j]
     for j in range(groups):
-        stroke_limit, stop_stiffness = limits[j, 4], limits[j, 5]
+        stroke_limit = rig.groups[j]["stroke_limit"]
         stroke = 0.0
         for i in range(states):
-            stroke += rows[2 * groups + j, i] * state[i]
+            stroke += rig.rows[_STROKE, j, i] * state[i]
         beyond = stroke - min(max(stroke, -stroke_limit), stroke_limit)
         if beyond != 0.0:
-            for k in range(len(found)):
-                found[k] -= seen[first_force + j, k] * stop_stiffness * beyond
+            for k in range(len(z)):
+                z[k] -= rig.outputs[first_force + j, k] * rig.groups[j]["stop_stiffness"] * beyond
     for age in range(len(sent) - 1, 0, -1):
         sent[age] = sent[age - 1]
     for j in range(groups):
-        sent[0, j] = min(max(command[j], -limits[j, 2]), limits[j, 2])
+        sent[0, j] = min(max(command[j], -rig.groups[j]["capacity"]), rig.groups[j]["capacity"])
+    return z

@@ -1,9 +1,9 @@
-"""Numbers of a rig that no building has, as they come about when a number is written in another unit than asked.
+"""Plausibility checks of a rig's numbers: finds those that are written in another unit than expected.
 
-A number alone is seldom impossible; a ratio without dimension often is. Each rule here takes one such ratio of the
-rig's numbers (or a single number, where laboratories agree well enough) and a range so wide that no sensible rig is
-outside it, from a table-top model of three floors of 2 kg to a full-scale frame of ten storeys. A number outside its
-range is told with the units, or else the factors, that would bring it inside.
+A number alone is seldom impossible; a ratio without dimension often is. Each rule has one such ratio of the rig's
+numbers (or a single number, where laboratories agree well enough) and a range so wide that no sensible rig is outside
+it, from a table-top model of three floors of 2 kg to a full-scale frame of ten storeys. The error for a number outside
+its range names the units, or else the factors, that would bring it inside.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ UNITS = {
     "of critical": {"%": 1e-2},
     "": {"%": 1e-2},
 }
-"""Units that people write in place of ours, and how many of ours each one is."""
+"""For each SI unit the units that are mistaken for it, in SI units."""
 FACTORS = (G, 1e3, 1e3 * G, 1e6)
-"""By what else a number is likely to be wrong, by units converted twice; by G only where gravity is in some unit."""
+"""Other likely errors: units converted twice; with G only where a unit contains gravity."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number as the file states it.
+    """A number of the rig file.
 
     Parameters
     ----------
     key
-        Where it stands.
+        Its key in the file.
     value, unit
-        What it is, in the SI unit that was asked (a key of `UNITS`).
+        In the expected SI unit, a key of `UNITS`.
     power
-        With which the rule's ratio grows with the number.
+        The rule's ratio grows with this power of the number.
     """
 
     key: str
@@ -72,51 +72,51 @@ class _Rule:
     least: float
     most: float
     meaning: str
-    """What the ratio is, with a place for its range; empty where it is the number itself."""
+    """Of the ratio, with {} for its range; empty if the ratio is the number itself."""
     numbers: tuple[Number, ...]
-    """What the ratio is made of, the likeliest mistake first."""
+    """Of the ratio, the one most likely to be wrong first."""
 
     def holds(self, factor: float = 1.0) -> bool:
         return self.least <= self.ratio * factor <= self.most
 
-    def doubt(self, rules: Sequence[_Rule]) -> str:
-        """The number that is likely to be wrong, its range, and the single mistake that would explain all `rules`."""
+    def error(self, rules: Sequence[_Rule]) -> str:
+        """Message with the suspected number, its range, and the single mistake after which all `rules` hold."""
         causes = self._causes(rules) or self._causes([self])
-        blamed = next(iter(causes), self.numbers[0])
-        ends = [blamed.value * (end / self.ratio) ** (1 / blamed.power) for end in (self.least, self.most)]
-        unit = f" {blamed.unit}".rstrip()
-        text = f"{blamed.key}: {blamed.value:.6g}{unit}, expected {_short(min(ends))} to {_short(max(ends))}{unit}"
+        suspect = next(iter(causes), self.numbers[0])
+        ends = [suspect.value * (end / self.ratio) ** (1 / suspect.power) for end in (self.least, self.most)]
+        unit = f" {suspect.unit}".rstrip()
+        text = f"{suspect.key}: {suspect.value:.6g}{unit}, expected {_short(min(ends))} to {_short(max(ends))}{unit}"
         if self.meaning:
             span = f"{_short(self.least)} to {_short(self.most)}"
             text += f" ({self.meaning.format(span)}, not {_short(self.ratio)})"
-        questions = [f"{'it' if number is blamed else number.key} {cause}" for number, cause in causes.items()]
+        questions = [f"{'it' if number is suspect else number.key} {cause}" for number, cause in causes.items()]
         return f"{text}; is {', or '.join(questions)}?" if questions else text
 
     def _causes(self, rules: Sequence[_Rule]) -> dict[Number, str]:
-        """For each number that alone could be the mistake, how; those that another unit explains first."""
+        """The possible mistake of each number that alone could be wrong; those of unit first."""
         units = {number: _units(number, rules) for number in self.numbers if number.power}
         factors = {number: _factors(number, rules) for number, found in units.items() if not found}
         return {number: found for number, found in (*units.items(), *factors.items()) if found}
 
 
 def _units(number: Number, rules: Sequence[_Rule]) -> str:
-    """The units in which a number may be written instead of ours."""
-    factors = {unit: factor for unit, factor in UNITS[number.unit].items() if _mended(number, factor, rules)}
+    """The units in which a number may be written by mistake."""
+    factors = {unit: factor for unit, factor in UNITS[number.unit].items() if _all_hold(number, factor, rules)}
     named = [f"{unit} ({_short(factor)} {number.unit}".rstrip() + ")" for unit, factor in factors.items()]
     return f"in {' or '.join(named)}" if named else ""
 
 
 def _factors(number: Number, rules: Sequence[_Rule]) -> str:
-    """By what a number may be wrong otherwise."""
+    """The factors by which a number may be wrong otherwise."""
     found = []
     likely = [factor for factor in FACTORS if G in UNITS[number.unit].values() or factor in (1e3, 1e6)]
     for word, sign in (("small", 1), ("great", -1)):
-        factors = [_short(factor) for factor in likely if _mended(number, factor**sign, rules)]
+        factors = [_short(factor) for factor in likely if _all_hold(number, factor**sign, rules)]
         found += [f"{' or '.join(factors)} times too {word}"] if factors else []
     return ", or ".join(found)
 
 
-def _mended(number: Number, factor: float, rules: Sequence[_Rule]) -> bool:
+def _all_hold(number: Number, factor: float, rules: Sequence[_Rule]) -> bool:
     """Whether all rules on a number hold once it is multiplied by a factor."""
     return all(rule.holds(factor**one.power) for rule in rules for one in rule.numbers if one.key == number.key)
 
@@ -127,44 +127,44 @@ def _short(value: float) -> str:
 
 
 def check_units(rig: Rig, stiffness: Sequence[Number], damping: Sequence[Number]) -> None:
-    """Refuse a rig with a number that is off by its unit.
+    """Refuse a rig with a number that seems to be in another unit.
 
     Parameters
     ----------
     rig
         As the file describes it, its brace groups, local modes and floors in the file's order.
     stiffness
-        The building's stiffness as the file states it: that of each storey, or the matrix's diagonal, or the
-        frequencies. Their powers say how a frequency grows with all of them.
+        The building's stiffness as in the file: that of each storey, or the matrix's diagonal, or the frequencies. A
+        frequency grows with their power.
     damping
-        The bare frame's damping ratios as the file states them.
+        The bare frame's damping ratios as in the file.
 
     Raises
     ------
     AbraceError
-        `<key>: <number>, expected <range>, ...; is it in <unit>?`, for the first doubt.
+        `<key>: <number>, expected <range>, ...; is it in <unit>?`, for the first rule that does not hold.
     """
     masses = [Number(f"building.masses.{i}", mass, "kg") for i, mass in enumerate(rig.building.masses)]
     rules = [
         *_table(rig),
         *_building(rig, masses, stiffness, damping),
-        *_braces(rig, _whole(masses, -1.0)),
+        *_braces(rig, _median(masses, -1.0)),
         *_local_modes(rig),
         *_sensors(rig),
     ]
     for rule in rules:
         if not rule.holds():
-            raise AbraceError(rule.doubt(rules))
+            raise AbraceError(rule.error(rules))
 
 
-def _whole(numbers: Sequence[Number], power: float) -> Number:
-    """All numbers of a list as one, by its median: they share their unit."""
+def _median(numbers: Sequence[Number], power: float) -> Number:
+    """The median of a list of numbers, which have one unit."""
     key = re.sub(r"(\.\d+)+$", "", numbers[0].key)
     return Number(key, float(np.median([number.value for number in numbers])), numbers[0].unit, power)
 
 
-def _alike(numbers: Sequence[Number], times: float, name: str) -> Iterator[_Rule]:
-    """Rules on each number of a list against their median: one alone may be in another unit."""
+def _against_median(numbers: Sequence[Number], times: float, name: str) -> Iterator[_Rule]:
+    """Rules of each number of a list against their median: one alone may be in another unit."""
     median = np.median([number.value for number in numbers])
     for number in numbers:
         alone = replace(number, power=1.0)
@@ -172,7 +172,7 @@ def _alike(numbers: Sequence[Number], times: float, name: str) -> Iterator[_Rule
 
 
 def _table(rig: Rig) -> Iterator[_Rule]:
-    """Rules of the numbers that stand alone, with which the others are compared."""
+    """Rules of single numbers, with which the others are compared."""
     height, rate = rig.storey_height, rig.sample_rate
     yield _Rule(height, 0.1, 10.0, "", (Number("building.storey_height", height, "m"),))
     yield _Rule(rate, 20.0, 2e4, "", (Number("sample_rate", rate, "Hz"),))
@@ -186,16 +186,16 @@ def _table(rig: Rig) -> Iterator[_Rule]:
 def _building(
     rig: Rig, masses: Sequence[Number], stiffness: Sequence[Number], damping: Sequence[Number]
 ) -> Iterator[_Rule]:
-    yield from _alike(masses, 50.0, "masses")
-    whole, height = _whole(masses, 1.0), Number("building.storey_height", rig.storey_height, "m", -3.0)
+    yield from _against_median(masses, 50.0, "masses")
+    whole, height = _median(masses, 1.0), Number("building.storey_height", rig.storey_height, "m", -3.0)
     for mass in (rig.building.masses.min(), rig.building.masses.max()):
         density = mass / rig.storey_height**3
         yield _Rule(density, 5.0, 5e4, "{} kg/m^3 in a cube as high as the storey", (whole, height))
     for number in damping:
         yield _Rule(number.value, 5e-5, 0.4, "", (number,))
-    yield from _alike(stiffness, 200.0, "floors")
+    yield from _against_median(stiffness, 200.0, "floors")
     frequencies, _ = rig.building.modes()
-    stated = _whole(stiffness, stiffness[0].power)
+    stated = _median(stiffness, stiffness[0].power)
     weighed = replace(whole, power=stated.power - 1.0)
     hertz, most = frequencies[0] / (2 * np.pi), 60.0 / rig.floors
     yield _Rule(hertz, 0.18, most, "the bare frame's first frequency {} Hz", (stated, weighed))

@@ -1,4 +1,4 @@
-"""What the paper prints of its rig: the numbers that the simulated one is held against."""
+"""The paper's numbers of its rig, with which the simulated rig is compared."""
 
 from __future__ import annotations
 

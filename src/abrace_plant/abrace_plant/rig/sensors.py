@@ -1,4 +1,4 @@
-"""What stands between a quantity and its record: bias, drift, noise, range, quantisation, and channels that die."""
+"""Sensors: bias, drift, noise, range and quantisation of the readings, and channels that fail."""
 
 from __future__ import annotations
 
@@ -67,17 +67,17 @@ class SensorSet:
 
 @dataclass(frozen=True)
 class SensorFault:
-    """A channel that dies.
+    """A channel that fails.
 
     Parameters
     ----------
     channel
         Position in the readings.
     kind
-        "stuck": the reading before stays; "zero": nothing is read; "noise": an open input, white noise with a standard
-        deviation of a third of the range.
+        "stuck": the last reading is held; "zero": readings are zero; "noise": an open input, white noise with a
+        standard deviation of a third of the range.
     start
-        Sample from which on it is dead.
+        First sample of the fault.
     """
 
     channel: int
@@ -86,7 +86,7 @@ class SensorFault:
 
 
 FAULTS = ("stuck", "zero", "noise")
-"""What a dead channel may read."""
+"""Kinds of sensor faults."""
 
 
 def parse_fault(text: str, names: Sequence[str], sample_period: float) -> SensorFault:
@@ -95,7 +95,7 @@ def parse_fault(text: str, names: Sequence[str], sample_period: float) -> Sensor
     Parameters
     ----------
     text
-        What a person wrote.
+        As the user gave it.
     names
         The channels' names, in their order.
     sample_period
@@ -149,7 +149,7 @@ class Measurement:
         self._drawn = 0
         self._last = np.zeros(len(channels))
         self.faults: tuple[SensorFault, ...] = ()
-        """The channels that are dead, or will be; may be changed at any time."""
+        """Present and later faults; may be changed at any time."""
 
     def read(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Readings (channels,) of the true `values` (channels,) at the next sample."""
@@ -157,7 +157,7 @@ class Measurement:
             self._draw()
         reading = values + self._errors[self._next]
         if self.faults:
-            self._kill(reading[None], self._drawn - BLOCK + self._next)
+            self._apply_faults(reading[None], self._drawn - BLOCK + self._next)
         self._next += 1
         self._convert(reading)
         self._last = reading
@@ -173,7 +173,7 @@ class Measurement:
             block = readings[done : done + len(self._errors) - self._next]
             block += self._errors[self._next : self._next + len(block)]
             if self.faults:
-                self._kill(block, self._drawn - BLOCK + self._next)
+                self._apply_faults(block, self._drawn - BLOCK + self._next)
             self._convert(block)
             self._next += len(block)
             self._last = block[-1]
@@ -181,25 +181,25 @@ class Measurement:
         return readings
 
     def _draw(self) -> None:
-        """The errors of the next block of samples."""
+        """Draw the errors of the next block of samples."""
         samples = self._drawn + np.arange(BLOCK)[:, None]
         noise = self._random.standard_normal((BLOCK, len(self._noise))) * self._noise
         self._errors = noise + (self._bias + samples * self._drift)
         self._drawn += BLOCK
         self._next = 0
 
-    def _kill(self, readings: NDArray[np.float64], first: int) -> None:
-        """Put what dead channels read in place of the values (samples, channels), from sample number `first` on."""
+    def _apply_faults(self, readings: NDArray[np.float64], first: int) -> None:
+        """Replace the `readings` (samples, channels) of channels that have failed, from sample number `first` on."""
         for fault in self.faults:
-            channel, dead = fault.channel, readings[max(fault.start - first, 0) :, fault.channel]
-            if not len(dead):
+            channel, failed = fault.channel, readings[max(fault.start - first, 0) :, fault.channel]
+            if not len(failed):
                 continue
             if fault.kind == "stuck":
-                dead[:] = readings[fault.start - first - 1, channel] if fault.start > first else self._last[channel]
+                failed[:] = readings[fault.start - first - 1, channel] if fault.start > first else self._last[channel]
             elif fault.kind == "zero":
-                dead[:] = 0.0
+                failed[:] = 0.0
             else:
-                dead[:] = self._limit[channel] / 3 * self._open_inputs.standard_normal(len(dead))
+                failed[:] = self._limit[channel] / 3 * self._open_inputs.standard_normal(len(failed))
 
     def _convert(self, readings: NDArray[np.float64]) -> None:
         """Clip to the range and round to the converter's steps, in place."""

@@ -39,7 +39,7 @@ class Excitation(BraceCommander):
         self.signal = np.column_stack([self.signal_of(group, groups) for group in range(groups)])
         self.nothing = np.zeros(groups)
         self.first = 0
-        self.open_loop(1 / given.sample_rate, given.force_limit)
+        self.create_topics(1 / given.sample_rate, given.force_limit)
 
     def signal_of(self, group: int, groups: int) -> np.ndarray:
         """(samples,) [N] of one of so many brace groups; multisines of different groups are orthogonal."""

@@ -1,4 +1,4 @@
-"""Readers of records that stand in arrays: MATLAB's `.mat`, and any topic of a bag.
+"""Readers of binary files: MATLAB's `.mat`, and any topic of a bag.
 
 - `.mat` (versions 4 to 7.2): the channel is the name of a variable, a struct's field as `quake.acceleration`. A vector
   is an acceleration, two columns are time [s] and acceleration. Without a channel the only such series is read.
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_HDF5_MARK = b"\x89HDF\r\n\x1a\n"
+_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 _FIELD = re.compile(r"(?P<field>[^\[\]]+)(?:\[(?P<index>\d{1,9})\])?")
 
 
@@ -36,15 +36,15 @@ def read_mat(name: str, path: Path, channel: str | None) -> Reading:
     Parameters
     ----------
     name
-        What the person called the record.
+        Of the record, as the user gave it.
     path
         The file.
     channel
         Name of the variable; the only series in the file when None.
     """
     with path.open("rb") as file:
-        head = file.read(520)
-    if head.startswith(b"MATLAB 7.3") or _HDF5_MARK in (head[:8], head[512:]):
+        start = file.read(520)
+    if start.startswith(b"MATLAB 7.3") or _HDF5_MAGIC in (start[:8], start[512:]):
         raise record_error(name, "a MATLAB file of version 7.3 (HDF5), expected one saved with save -v7")
     try:
         variables = load_matlab(path)
@@ -64,12 +64,12 @@ def read_mat(name: str, path: Path, channel: str | None) -> Reading:
         message = f"{chosen} is {shape}, expected a vector (acceleration) or two columns (time, acceleration)"
         raise record_error(name, message)
 
-    def place(message: str, sample: int | None) -> AbraceError:
+    def error_at(message: str, sample: int | None) -> AbraceError:
         return record_error(name, message, chosen if sample is None else f"{chosen}, row {sample + 1}")
 
     if values.ndim == 1:
-        return checked_reading(values, place, unit=None)
-    return checked_reading(values[:, 1], place, unit=None, times=values[:, 0])
+        return checked_reading(values, error_at, unit=None)
+    return checked_reading(values[:, 1], error_at, unit=None, times=values[:, 0])
 
 
 def _arrays(variables: Mapping[str, Any], prefix: str) -> dict[str, NDArray[Any]]:
@@ -93,7 +93,7 @@ def read_bag(name: str, path: Path, channel: str | None) -> Reading:
     Parameters
     ----------
     name
-        What the person called the record.
+        Of the record, as the user gave it.
     path
         A bag directory or an MCAP file.
     channel
@@ -103,8 +103,8 @@ def read_bag(name: str, path: Path, channel: str | None) -> Reading:
         topic, _, wanted = (channel or "").strip().partition(":")
         form = _FIELD.fullmatch(wanted)
         if not topic or form is None:
-            said = f"channel {channel!r}" if channel else "a bag"
-            raise record_error(name, f"{said}, expected channel as topic:field, one of {_listed(read_topics(path))}")
+            given = f"channel {channel!r}" if channel else "a bag"
+            raise record_error(name, f"{given}, expected channel as topic:field, one of {_listed(read_topics(path))}")
         named = {topic, f"/{topic}"}
         contents = read_selected(path, lambda described: described.topic in named)
         if len(contents) != 1:
@@ -137,11 +137,11 @@ def _field(name: str, topic: str, messages: TopicArrays, field: str, index: str 
     else:
         nanoseconds = stamp.astype(np.int64) * 10**9 + messages.fields["header.stamp.nanosec"].astype(np.int64)
 
-    def place(message: str, sample: int | None) -> AbraceError:
+    def error_at(message: str, sample: int | None) -> AbraceError:
         return record_error(name, message, topic if sample is None else f"{topic}, message {sample + 1}")
 
     times = (nanoseconds - nanoseconds[:1]) * 1e-9
-    return checked_reading(values, place, unit="m/s^2", times=times)
+    return checked_reading(values, error_at, unit="m/s^2", times=times)
 
 
 def _is_number(values: NDArray[Any]) -> bool:

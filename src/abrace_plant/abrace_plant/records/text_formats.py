@@ -43,7 +43,7 @@ def read_at2(file: RecordText) -> Reading:
     values = [file.number(word, line) for word, line in words]
     if len(values) != int(sizes["count"]):
         raise file.error(f"{len(values)} values, expected NPTS = {sizes['count']}")
-    return checked_reading(values, file.place([line for _, line in words]), unit="g", sample_period=period)
+    return checked_reading(values, file.errors_at([line for _, line in words]), unit="g", sample_period=period)
 
 
 def read_text(file: RecordText) -> Reading:
@@ -60,8 +60,8 @@ def read_text(file: RecordText) -> Reading:
             raise file.error(f"{len(words)} columns, expected {columns} as before", line)
         rows.append([file.number(word, line) for word in words])
     times = [row[0] for row in rows] if columns == 2 else None
-    place = file.place([line for line, _ in content])
-    return checked_reading([row[-1] for row in rows], place, unit=None, times=times)
+    error_at = file.errors_at([line for line, _ in content])
+    return checked_reading([row[-1] for row in rows], error_at, unit=None, times=times)
 
 
 def read_csv(file: RecordText, channel: str | None) -> Reading:
@@ -102,5 +102,5 @@ def read_csv(file: RecordText, channel: str | None) -> Reading:
             raise file.error(f"{len(cells)} columns, expected {len(names)} as in the header", line)
         times += [file.number(cells[column], line) for column in time_at]
         values.append(file.number(cells[chosen[0]], line))
-    place = file.place([line for line, _ in content])
-    return checked_reading(values, place, unit=unit, times=times if time_at else None)
+    error_at = file.errors_at([line for line, _ in content])
+    return checked_reading(values, error_at, unit=unit, times=times if time_at else None)

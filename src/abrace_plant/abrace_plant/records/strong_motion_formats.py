@@ -1,9 +1,9 @@
-"""Readers of what strong-motion networks hand out: K-NET and KiK-net, CSMIP volume 2, COSMOS V2.
+"""Readers of the formats of strong-motion networks: K-NET and KiK-net, CSMIP volume 2, COSMOS V2.
 
 - `.ew`, `.ns`, `.ud`, and with a 1 (borehole) or 2 (surface) behind: K-NET and KiK-net ASCII. A header of 17 lines,
   then counts of the digitiser; the scale factor in the header, `3920(gal)/6182761`, makes them gal (cm/s^2). The counts
   hold the sensor's offset, which stays in the acceleration.
-- `.v2`, `.v2c`: CSMIP and COSMOS. A line with the number of points and the unit stands before each block of numbers,
+- `.v2`, `.v2c`: CSMIP and COSMOS. A line with the number of points and the unit precedes each block of numbers,
   which are Fortran's: in columns of a stated width (CSMIP's older files state none: 8F10), so that neighbours may
   touch. Velocity, displacement and the rest of the headers are passed over. COSMOS gives the period in its real header:
   value 62 [ms], that of the series, before value 34 [s], that of the recorder. A unit code (COSMOS table 2) must agree
@@ -80,7 +80,7 @@ def read_knet(file: RecordText) -> Reading:
     values = [factor * file.number(word, line) for word, line in words]
     if not abs(len(values) - duration * frequency) < 0.5:
         raise file.error(f"{len(values)} values, expected {duration:g} s of {frequency:g} Hz as in the header")
-    return checked_reading(values, file.place([line for _, line in words]), unit=unit, sample_period=1 / frequency)
+    return checked_reading(values, file.errors_at([line for _, line in words]), unit=unit, sample_period=1 / frequency)
 
 
 def _knet_entry(file: RecordText, memo: int, label: str) -> tuple[int, str]:
@@ -98,7 +98,7 @@ def _knet_number(file: RecordText, memo: int, label: str) -> tuple[int, float]:
 
 @dataclass(frozen=True)
 class _Block:
-    """A block of accelerations: its channel, and what the line before its numbers says (`index` from 0)."""
+    """A block of accelerations: its channel, and the line (`index`, from 0) that describes it."""
 
     channel: int
     label: str
@@ -150,7 +150,7 @@ def read_v2(file: RecordText, channel: str | None) -> Reading:
     following = file.lines[after] if after < len(file.lines) else ""
     if _NUMBERS_ONLY.match(following):
         raise file.error(f"values after the {count} that line {line} states", after + 1)
-    return checked_reading(values, file.place([at for _, at in fields]), unit=unit, sample_period=period)
+    return checked_reading(values, file.errors_at([at for _, at in fields]), unit=unit, sample_period=period)
 
 
 def _blocks(file: RecordText) -> list[_Block]:

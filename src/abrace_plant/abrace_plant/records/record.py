@@ -1,0 +1,56 @@
+"""A record of ground acceleration, and the check that it can be integrated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Record:
+    """A ground acceleration, as recorded or as played.
+
+    Parameters
+    ----------
+    name
+        A known name, or the file's name without its ending.
+    sample_period
+        [s].
+    acceleration
+        (samples,) [m/s^2], at least two samples.
+    """
+
+    name: str
+    sample_period: float
+    acceleration: NDArray[np.float64]
+
+
+def check_record(record: Record) -> None:
+    """Refuse a record that cannot be integrated.
+
+    Parameters
+    ----------
+    record
+        As recorded or as played.
+
+    Raises
+    ------
+    AbraceError
+        If it has less than two samples, one that is not finite, or no sample period.
+    """
+    where, acceleration, period = f"ground motion {record.name}", record.acceleration, record.sample_period
+    if len(acceleration) < 2:
+        raise AbraceError(f"{where}: {len(acceleration)} samples, expected at least 2")
+    finite = np.isfinite(acceleration)
+    if not finite.all():
+        bad = int(np.argmin(finite))
+        raise AbraceError(f"{where}: sample {bad + 1} is {acceleration[bad]}, expected a finite number")
+    if not (np.isfinite(period) and period > 0):
+        raise AbraceError(f"{where}: sample period {period} s, expected more than 0")
