@@ -74,9 +74,9 @@ class Plant(AbraceLifecycleNode):
         self.create_service(Trigger, "~/clear_fault", self.on_clear_fault)
         self.responses, self.commands = Responses(), BraceCommands()
         self.joints = JointState(name=list(joint_names(self.rig)))
-        self.start()
+        self.reset()
 
-    def start(self) -> None:
+    def reset(self) -> None:
         """Reset the rig to rest, before sample 0."""
         given = self.parameters
         self.loop = RigLoop(self.rig, given.seed, given.command_timeout)
@@ -88,7 +88,7 @@ class Plant(AbraceLifecycleNode):
     def activate(self) -> None:
         """Start at sample 0; a fault stays latched."""
         fault = self.loop.fault_reason
-        self.start()
+        self.reset()
         if fault is not None:
             self.loop.fault(fault)
         self.due = time.monotonic()
