@@ -1,4 +1,4 @@
-"""Speed of reading a bag: 1 000 000 responses to arrays, beside `rosbags` and `mcap-ros2-support`, on one core.
+"""Speed of reading a bag: 1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`, on one core.
 
 read_1e6_seconds            `read_topics`, all fields of all messages
 time_range_seconds          `read_topics` of one hundredth of the bag, in its middle

@@ -1,11 +1,11 @@
-"""Speed claims beside their peers, measured in one run: `make bench`. Writes results/bench.json and prints a table.
+"""Speed claims against their peers, measured in one run: `make bench`. Writes results/bench.json and prints a table.
 
 simulation     50 000 closed-loop steps, linear and saturated, against scipy's dlsim, python-control's forced_response
                and a matrix-vector product a step
 plant_step_us  a sample of the simulated rig as the node `plant` takes it, against a round trip of the echo below
 lockstep       the demo's closed loop (plant, ground motion, controller, logger, each a process of its own) against a
                bare echo of the same messages between two processes, measured just before and just after
-controller, loop, lqr_agreement  a step of LQG3, its answer over DDS beside the echo, its gains beside python-control's
+controller, loop, lqr_agreement  a step of LQG3, its answer over DDS and the echo, its gains and python-control's
 explore        1000 closed loops of 50 000 steps, designs and margins included, on all cores
 reading        the responses of that run's bag to arrays, against `rosbags`
 bags           1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`
@@ -128,8 +128,8 @@ def identification_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     title = "reading a bag of 600 s, s"
     for name, key in (("rosbags", "rosbags_seconds"), ("mcap-ros2-support", "mcap_ros2_support_seconds")):
         seconds = found[key]
-        beside = (f"{name} {seconds:.2f}", f"{seconds / read:.1f}") if seconds else (f"{name} not installed", "-")
-        rows.append((title, f"{read:.2f}", "1", *beside))
+        peer = (f"{name} {seconds:.2f}", f"{seconds / read:.1f}") if seconds else (f"{name} not installed", "-")
+        rows.append((title, f"{read:.2f}", "1", *peer))
         title = ""
     rows.append(("from two tests of 600 s to the models, s", f"{found['fit_seconds']:.2f}", "3", "-", "-"))
     ratio = f"{peer['time_ratio']:.2f}"
@@ -138,18 +138,18 @@ def identification_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     for what in ("frequency", "damping"):
         theirs = peer[f"{what}_error"]
         for method, ours in (("vector fitting", peer[f"our_{what}_error"]), ("identify", likely[f"{what}_error"])):
-            beside = (f"scikit-rf {100 * theirs:.4f}", f"{theirs / ours:.2f}")
-            rows.append((f"{method}: {what}, worst pole, %", f"{100 * ours:.4f}", "-", *beside))
+            peer = (f"scikit-rf {100 * theirs:.4f}", f"{theirs / ours:.2f}")
+            rows.append((f"{method}: {what}, worst pole, %", f"{100 * ours:.4f}", "-", *peer))
     return rows
 
 
 def bag_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table: a large bag, beside each peer."""
+    """Rows of the table: a large bag, against each peer."""
     rows: list[tuple[str, ...]] = []
     title = "reading 1 000 000 responses, s"
     for name, key in (("rosbags", "rosbags"), ("mcap-ros2-support", "mcap_ros2_support")):
-        beside = f"{name} {found[f'{key}_seconds']:.1f}", f"{found[f'ratio_to_{key}']:.1f}"
-        rows.append((title, f"{found['read_1e6_seconds']:.2f}", "2, 10 x", *beside))
+        peer = f"{name} {found[f'{key}_seconds']:.1f}", f"{found[f'ratio_to_{key}']:.1f}"
+        rows.append((title, f"{found['read_1e6_seconds']:.2f}", "2, 10 x", *peer))
         title = ""
     rows.append(("of it, a hundredth of the time, s", f"{found['time_range_seconds']:.3f}", "-", "-", "-"))
     return rows

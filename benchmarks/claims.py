@@ -1,4 +1,4 @@
-"""Numbers that are asked for beside those that were reached."""
+"""Numbers that are asked for, and those that were reached."""
 
 from __future__ import annotations
 
@@ -39,4 +39,4 @@ def claim_table(claims: Sequence[Claim]) -> Table:
         )
         for claim in claims
     )
-    return Table("Accuracy (relative errors, unless said)", ("claim", "reached", "asked", "peer", ""), rows)
+    return Table("Accuracy (relative errors, unless stated)", ("claim", "reached", "asked", "peer", ""), rows)

@@ -1,4 +1,4 @@
-"""The controller beside its peers: a step of it, its answer over DDS, its gains and its discretisation.
+"""The controller against its peers: a step of it, its answer over DDS, its gains and its discretisation.
 
 step_us            a sample from its bytes to the bytes of its command: unpacked, checked for gaps, LQG3's law, the
                    guard's limits, packed, the estimate advanced with the applied force; without DDS

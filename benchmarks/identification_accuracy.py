@@ -1,4 +1,4 @@
-"""How well identification finds the paper's rig, beside other methods: the part `identification` of `make verify`.
+"""How well identification finds the paper's rig, against other methods: the part `identification` of `make verify`.
 
 Simulated tests with the rig's own sensors (noise 65 dB down, 16 bits), each with noise of its own. Asked are the worst
 pole of 8 seeds for each length of test, how often the 95 % intervals hold the rig's poles over 20 seeds, and the
@@ -47,13 +47,13 @@ if TYPE_CHECKING:
 
 SEEDS, COVERAGE_SEEDS = 8, 20
 PEERS = ("paper", "n4sid", "sk", "vector_fitting")
-"""Methods beside ours; the first two are measured over all seeds, all four on one."""
+"""Methods compared with ours; the first two are measured over all seeds, all four on one."""
 
 SHOWN = (600, 0)
 """Length and seed of the tests on which all methods are compared pole by pole."""
 
 N4SID_ORDERS = {"table": ("w", 8), "command": ("U", 13)}
-"""Input and states: beside the building's modes the table test shows the servo's slow pole and something of a local
+"""Input and states: with the building's modes the table test shows the servo's slow pole and something of a local
 mode, the command test that slow pole."""
 
 LENGTHS: tuple[float | None, ...] = (120, 300, 600, None)
@@ -190,10 +190,10 @@ def worst_of(method: str, case: str, trials: Sequence[Trial], true: dict[str, Pa
     errors, refused, reasons = [], 0, []
     for trial in (one for one in trials if one.length == length and one.seed < SEEDS):
         found = {test: trial.pairs(method, test) for test in tests}
-        said = [pairs for pairs in found.values() if isinstance(pairs, str)]
+        refusals = [pairs for pairs in found.values() if isinstance(pairs, str)]
         errors += [worst_errors(pairs, true[test]) for test, pairs in found.items() if not isinstance(pairs, str)]
-        reasons += said
-        refused += bool(said)
+        reasons += refusals
+        refused += bool(refusals)
     if refused:
         return {"frequency_error": None, "damping_error": None, "failed": reasons[0], "failed_seeds": refused}
     frequency, damping = np.max(errors, axis=0)

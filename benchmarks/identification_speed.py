@@ -1,6 +1,6 @@
-"""Speed of identification, from bags of 600 s to the model, beside its peers in one run, on one core and one thread.
+"""Speed of identification, from bags of 600 s to the model, against its peers in one run, on one core and one thread.
 
-read_seconds   `read_run` of one bag, 300 000 samples of all channels to arrays, beside reading its responses with
+read_seconds   `read_run` of one bag, 300 000 samples of all channels to arrays, against reading its responses with
                `rosbags` and with `mcap-ros2-support`
 fit_seconds    `identify`, from the two tests read to the models
 scikit_rf      scikit-rf's VectorFitting and our `vector_fitting` on the same transfer functions, those of both tests,

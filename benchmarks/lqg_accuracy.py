@@ -1,4 +1,4 @@
-"""The five controllers as they run: designed on the identified model, recorded on the lockstep graph, simulated beside.
+"""The five controllers as they run: designed on the identified model, recorded on the lockstep graph, and simulated.
 
 The campaign is `five_controllers.yaml`: tests, model, LQG1 to LQG5, each under El Centro at 0.1 g and
 under noise of another seed; a record that is given, such as Kobe, is added. Everything is read from what the campaign

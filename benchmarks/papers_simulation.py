@@ -202,7 +202,7 @@ class Test:
 
 
 def papers_simulation(controller: LinearModel) -> dict[str, Any]:
-    """What the superposition of A1's rig and A2's gives under a controller, beside the paper's simulation.
+    """What the superposition of A1's rig and A2's gives under a controller, and the paper's simulation.
 
     Returns
     -------
@@ -311,7 +311,7 @@ def lqg3() -> LinearModel:
 
 
 def cells_table(found: dict[str, Any]) -> Table:
-    """Table 1 with our models beside it."""
+    """Table 1 and our models."""
     names = ("experiment", "paper", "superposed", "consistent")
     header = ("", *(f"{name} {number}" for number in ("peak", "rms") for name in names))
     rows = tuple(

@@ -1,4 +1,4 @@
-"""Speed of a closed loop simulated offline, beside its peers in one run: 50 000 samples of the paper's rig under LQG3.
+"""Speed of a closed loop simulated offline, against its peers in one run: 50 000 samples of the paper's rig under LQG3.
 
 linear     `simulate` on the loop as one linear model
 saturated  `simulate_closed_loop`, the commands cut at the rig's capacity

@@ -1,9 +1,9 @@
 """Endurance of the logger: `make soak`. Writes results/soak.json and prints a table.
 
-graph   10 minutes of the closed loop in real time at 500 Hz (plant, ground motion, controller, logger) beside a process
-        that keeps one core busy: messages on three topics, those of them that were lost, share of a core that the
+graph   10 minutes of the closed loop in real time at 500 Hz (plant, ground motion, controller, logger) while a process
+        keeps one core busy: messages on three topics, those of them that were lost, share of a core that the
         logger takes
-flood   the highest rate of one topic at which the logger loses nothing, beside a subscription that writes nothing
+flood   the highest rate of one topic at which the logger loses nothing, against a subscription that writes nothing
 
 python benchmarks/soak.py SECONDS    # another duration
 """
@@ -87,7 +87,7 @@ class LoggerUse:
 
 
 def record_graph(duration: float) -> dict[str, Any]:
-    """The closed loop in real time for so many seconds, beside a busy core."""
+    """The closed loop in real time for so many seconds while a process loads one core."""
     save_controller(lqg3(), "lqg3.yaml")
     campaign = Path("soak.yaml")
     campaign.write_text(CAMPAIGN.format(duration=duration), encoding="utf-8")

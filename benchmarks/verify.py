@@ -6,7 +6,7 @@ rig             the paper's rig against the numbers that the paper prints, and i
 records         the resampling of records, and their response spectra against eqsig
 lqg             the five controllers on the lockstep graph: Table 1, prediction, margins, reductions
 bags            killed loggers, cut-off and damaged files
-identification  poles, their intervals and prediction against the simulated rig, beside the paper's method and N4SID
+identification  poles, their intervals and prediction against the simulated rig, compared with the paper's method and N4SID
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def resampling_error() -> float:
 
 
 def verify_records() -> tuple[dict[str, Any], list[Claim]]:
-    """Resampling, and the measures and spectra of El Centro beside those of eqsig."""
+    """Resampling, and the measures and spectra of El Centro against those of eqsig."""
     record = read_record("el_centro")
     peer = eqsig.AccSignal(record.acceleration, record.sample_period)
     periods = np.geomspace(40 * record.sample_period, 5.0, 60)
@@ -150,7 +150,7 @@ def verify_records() -> tuple[dict[str, Any], list[Claim]]:
 
 
 def verify_identification() -> tuple[dict[str, Any], list[Claim], list[Table]]:
-    """Identification of the simulated rig, and the tables that set it beside other methods and models."""
+    """Identification of the simulated rig, and the tables that compare it with other methods and models."""
     trials, prediction = accuracy.measure()
     true = accuracy.true_pairs(accuracy.the_rig())
     values = accuracy.evaluate(trials, prediction, true)
@@ -158,9 +158,9 @@ def verify_identification() -> tuple[dict[str, Any], list[Claim], list[Table]]:
     for case, (_, _, *asked) in accuracy.CASES.items():
         for quantity, limit in zip(("frequency", "damping"), asked, strict=True):
             key, peer = f"{quantity}_error", values["n4sid"][case]
-            said = "N4SID refuses" if peer[key] is None else f"N4SID {peer[key]:.2g}"
+            stated = "N4SID refuses" if peer[key] is None else f"N4SID {peer[key]:.2g}"
             name = f"{case.replace('_', ' ')} s: {quantity}" if case[-1].isdigit() else f"{case}: {quantity}"
-            claims.append(Claim(f"{name}, worst of {accuracy.SEEDS} seeds", values[case][key], limit, said))
+            claims.append(Claim(f"{name}, worst of {accuracy.SEEDS} seeds", values[case][key], limit, stated))
     name = "true poles within their 95 % intervals"
     claims += [
         Claim(name, values["coverage"], 0.85, "theory: 0.95", least=True),
@@ -224,7 +224,7 @@ def pole_comparison(trial: accuracy.Trial, true: dict[str, accuracy.Pairs]) -> T
             others = [nearest(trial.peers[method][test], own) for method in accuracy.PEERS]
             rows.append((matrix, number(own), with_interval(ours), *others, nearest(printed, own)))
         refusals = ((method, trial.peers[method][test]) for method in accuracy.PEERS)
-        notes += [f"{matrix}, {method}: {said}" for method, said in refusals if isinstance(said, str)]
+        notes += [f"{matrix}, {method}: {refusal}" for method, refusal in refusals if isinstance(refusal, str)]
     titles = {
         "paper": "paper's method",
         "n4sid": "N4SID",
@@ -232,7 +232,7 @@ def pole_comparison(trial: accuracy.Trial, true: dict[str, accuracy.Pairs]) -> T
         "vector_fitting": "vector fitting",
     }
     header = ("", "rig", "abrace, 95 %", *(titles[method] for method in accuracy.PEERS), "paper's own rig")
-    return Table("Poles beside other methods: rad/s / damping in %, tests of 600 s", header, tuple(rows), tuple(notes))
+    return Table("Poles by several methods: rad/s / damping in %, tests of 600 s", header, tuple(rows), tuple(notes))
 
 
 def prediction_table(prediction: dict[str, Any]) -> Table:
@@ -251,7 +251,7 @@ def prediction_table(prediction: dict[str, Any]) -> Table:
 def main() -> int:
     """Measure, write, print."""
     parser = argparse.ArgumentParser(description="Accuracy claims, measured.")
-    parser.add_argument("--record", type=Path, help="a ground motion beside El Centro and noise, such as Kobe")
+    parser.add_argument("--record", type=Path, help="a ground motion in addition to El Centro and noise, such as Kobe")
     record = parser.parse_args().record
     rig, claims = verify_rig()
     records, of_records = verify_records()

@@ -12,7 +12,7 @@ from abrace.processes.group import find_executable
 from abrace_core.node import Parameter
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 LAUNCH_FILES = sorted((ROOT / "src/abrace_bringup/launch").glob("*.launch.py"))
 
 
@@ -96,7 +96,7 @@ def test_launch_files_start_nodes_that_exist_with_parameters_that_they_have(path
 def test_every_page_is_linked_from_the_readme():
     readme = (ROOT / "README.md").read_text()
     for page in PAGES[1:]:
-        assert f"docs/{page.name}" in readme, page.name
+        assert str(page.relative_to(ROOT)) in readme, page.name
 
 
 LIBRARIES = [

@@ -152,7 +152,7 @@ class Graph:
         for file in left:
             file.unlink(missing_ok=True)
 
-    def said(self, name: str) -> list[str]:
+    def output_of(self, name: str) -> list[str]:
         """The lines that a node has printed."""
         return self.started[name].log_file.read_text().splitlines()
 

@@ -154,5 +154,5 @@ def test_a_file_that_cannot_be_run_ends_the_node_with_one_line(graph: Any, files
     files["one"].write_text(text.replace("a_d: [\n      0.5", "a_d: [\n      1.5"))
     graph.start("controller", "--params-file", files["one"])
     assert graph.ended("controller") == 2
-    (line,) = graph.said("controller")
+    (line,) = graph.output_of("controller")
     assert "not stable (spectral radius of a_d 1.5), expected less than 1" in line

@@ -31,8 +31,8 @@ def test_a_signal_ends_every_node_cleanly_and_the_bag_is_closed(graph, number):
     for name in ("excitation", "ground_motion", "plant", "logger"):
         graph.may_end.add(name)
         os.kill(graph.started[name].group, number)
-        assert graph.ended(name) == 0, graph.said(name)
-        assert "Traceback" not in "\n".join(graph.said(name))
+        assert graph.ended(name) == 0, graph.output_of(name)
+        assert "Traceback" not in "\n".join(graph.output_of(name))
     assert (bag / "metadata.yaml").is_file()
     assert len(read_run(bag).outputs) > 100
 

@@ -69,7 +69,7 @@ def test_a_table_and_braces_configured_anew_answer_each_sample_once(graph):
     graph.may_end.add("plant")
     assert graph.change_state("plant", "activate")
     assert graph.ended("plant") == 0
-    assert graph.said("plant")[-1].startswith("plant: done: 500 samples")
+    assert graph.output_of("plant")[-1].startswith("plant: done: 500 samples")
 
 
 def test_a_fault_outlasts_deactivation(graph):
@@ -114,5 +114,5 @@ def test_a_rig_that_cannot_be_configured_says_so_and_stays(graph):
     graph.start("plant", autostart=False, rig="none")
     assert not graph.change_state("plant", "configure")
     assert graph.state("plant") == "unconfigured"
-    assert "rig 'none': unknown" in "\n".join(graph.said("plant"))
+    assert "rig 'none': unknown" in "\n".join(graph.output_of("plant"))
     assert graph.node.count_publishers("response") == 0

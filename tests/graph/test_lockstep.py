@@ -39,7 +39,7 @@ def record(graph: Any) -> Path:
     graph.may_end.add("plant")
     assert graph.change_state("plant", "activate")
     assert graph.ended("plant") == 0
-    assert graph.said("plant")[-1].startswith("plant: done: 2000 samples")
+    assert graph.output_of("plant")[-1].startswith("plant: done: 2000 samples")
     for name in ("excitation", "ground_motion", "logger"):
         assert graph.stop(name) == 0
     return bag
@@ -149,5 +149,5 @@ def test_a_missing_answer_ends_the_run_and_is_named(graph):
     responses = graph.listen(Response, "response")
     graph.publisher(BraceCommand, "brace_command")
     assert graph.ended("plant") == 1
-    assert graph.said("plant") == ["plant: no answer to sample 0 on brace_command within 0.5 s (lockstep_timeout)"]
+    assert graph.output_of("plant") == ["plant: no answer to sample 0 on brace_command within 0.5 s (lockstep_timeout)"]
     assert [message.sequence for message in responses] == [0]

@@ -218,7 +218,7 @@ def test_a_topic_with_two_types_is_a_fault_and_the_others_are_recorded_on(graph,
     publish_numbers(value, [3])
     until_counted(graph, "value", 3)
     assert graph.stop("logger") == 1
-    assert any("topics not recorded as asked" in line for line in graph.said("logger"))
+    assert any("topics not recorded as asked" in line for line in graph.output_of("logger"))
     assert list(read_topics(bag)[f"{graph.namespace}/value"].fields["data"]) == [1, 2, 3]
     assert (bag / "metadata.yaml").is_file()
 
@@ -261,7 +261,7 @@ def test_a_full_disk_ends_the_logger_and_leaves_what_was_recorded(graph):
         sent += 1
         graph.executor.spin_once(timeout_sec=0.001)
     assert graph.ended("logger") == 1
-    said = graph.said("logger")
+    said = graph.output_of("logger")
     assert sum("File too large" in line for line in said) == 1, said
     assert "Traceback" not in "\n".join(said)
     recorded = read_topics(bag)[f"{graph.namespace}/note"]

@@ -37,8 +37,8 @@ LIMIT = 4e3
 def end_of_replay(graph: Any, expected: str) -> int:
     """Wait for its end, and look for a text in its output."""
     code = graph.ended("replay")
-    assert any(expected in line for line in graph.said("replay")), graph.said("replay")
-    assert "Traceback" not in "\n".join(graph.said("replay"))
+    assert any(expected in line for line in graph.output_of("replay")), graph.output_of("replay")
+    assert "Traceback" not in "\n".join(graph.output_of("replay"))
     return int(code)
 
 
@@ -120,7 +120,7 @@ def test_a_controller_answers_the_recorded_responses_with_the_recorded_commands_
     graph.until_matched("controller", response=1, brace_command=2)
     graph.until_matched("replay", **{f"{namespace}/response": 1, f"{graph.namespace}/brace_command": 1})
     left_out = f"{namespace}/brace_command, {namespace}/ground_motion left out: a rig obeys them"
-    assert left_out in graph.said("replay")[0]
+    assert left_out in graph.output_of("replay")[0]
     assert graph.node.count_publishers(f"{namespace}/ground_motion") == 0
     for count in (1, 2, 3):
         graph.until(lambda: graph.call(Trigger, "replay/step", Trigger.Request()).success, "a step")
@@ -230,7 +230,7 @@ def test_a_loop_goes_on_until_a_signal_ends_it(graph: Any, texts: Path) -> None:
     assert notes == [text(f"words {(first + k) % 10}") for k in range(len(notes))]
     assert not graph.call(Trigger, "replay/step", Trigger.Request()).success
     assert graph.stop("replay") == 0
-    assert "stopped after" in graph.said("replay")[-1]
+    assert "stopped after" in graph.output_of("replay")[-1]
 
 
 @pytest.mark.parametrize(
@@ -249,14 +249,14 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(
     graph.may_end.add("replay")
     graph.start("replay", bag=str(texts), **parameters)
     assert end_of_replay(graph, complaint) == 2
-    assert len(graph.said("replay")) == 1
+    assert len(graph.output_of("replay")) == 1
 
 
 def test_a_bag_that_is_not_there_is_refused_in_one_line(graph: Any) -> None:
     graph.may_end.add("replay")
     graph.start("replay", bag="nowhere")
     assert end_of_replay(graph, "nowhere: no such bag") == 2
-    assert len(graph.said("replay")) == 1
+    assert len(graph.output_of("replay")) == 1
 
 
 def written(folder: Path, topic: str, type_name: str, payload: bytes, time: int = 1) -> Path:
@@ -288,7 +288,7 @@ def test_a_bag_of_commands_alone_is_refused_in_one_line_that_says_why(graph: Any
     graph.may_end.add("replay")
     graph.start("replay", bag=str(written(tmp_path, "/emergency_stop", "std_msgs/msg/Bool", b"\0\1\0\0\1")))
     assert end_of_replay(graph, "no message on the topics to replay; /emergency_stop left out: a rig obeys") == 2
-    assert len(graph.said("replay")) == 1
+    assert len(graph.output_of("replay")) == 1
 
 
 def test_a_response_that_cannot_be_read_ends_a_lockstep_replay(graph: Any, tmp_path: Path) -> None:
@@ -305,4 +305,4 @@ def test_a_type_that_is_not_installed_is_refused_in_one_line(graph: Any, tmp_pat
     graph.may_end.add("replay")
     graph.start("replay", bag=str(tmp_path / "odd"))
     assert end_of_replay(graph, "topic /odd: message type odd_msgs/Odd is not installed") == 2
-    assert len(graph.said("replay")) == 1
+    assert len(graph.output_of("replay")) == 1

@@ -139,5 +139,5 @@ def test_wrong_faults_and_groups_end_the_node_with_one_line(new_graph: Callable)
         with new_graph() as graph:
             graph.start("plant", **parameters)
             assert graph.ended("plant") == 2
-            (line,) = graph.said("plant")
+            (line,) = graph.output_of("plant")
             assert line.startswith(f"plant: {message}")

@@ -7,7 +7,7 @@ zero command, the first mode's shape (Table 1's ratio of displacements), and bar
 
     python3 fit_three_storey.py
 
-prints the parameters and what they give beside what was asked. The lag of 0.8 ms, the cosine of 0.80 (Table 1's xf/x1)
+prints the parameters, what they give and what was asked. The lag of 0.8 ms, the cosine of 0.80 (Table 1's xf/x1)
 and the local modes' masses and shares are chosen, not found: the paper says nothing that pins them.
 """
 

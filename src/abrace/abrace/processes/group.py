@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 PACKAGE_MARKERS = Path("share/ament_index/resource_index/packages")
 
-# tells the guard the process group, then becomes the node
+# writes the process group to the guard, then becomes the node
 _ANNOUNCE_AND_BECOME = 'echo "+$$" >&0; exec "$@" </dev/null'
 
 

@@ -1,4 +1,4 @@
-"""The node `design`: a model file and a weights file to a controller's parameter file, with its proof beside it."""
+"""The node `design`: a model file and a weights file to a controller's parameter file, and its proof."""
 
 from __future__ import annotations
 
