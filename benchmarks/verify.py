@@ -6,7 +6,7 @@ rig             the paper's rig against the numbers that the paper prints, and i
 records         the resampling of records, and their response spectra against eqsig
 lqg             the five controllers on the lockstep graph: Table 1, prediction, margins, reductions
 bags            killed loggers, cut-off and damaged files
-identification  poles, their intervals and prediction against the simulated rig, compared with the paper's method and N4SID
+identification  poles, their intervals and prediction against the simulated rig; the paper's method and N4SID too
 """
 
 from __future__ import annotations
