@@ -16,7 +16,7 @@ help:  ## this list
 
 setup: ros2_ws/install/.built  ## install what abrace needs into .venv and build the workspace
 
-.venv/.installed: requirements/run.txt requirements/develop.txt requirements/ros.txt requirements/lock.txt requirements/system.txt
+.venv/.installed: requirements/install.sh requirements/run.txt requirements/develop.txt requirements/ros.txt requirements/lock.txt requirements/system.txt
 	@requirements/install.sh
 
 ros2_ws/install/.built: .venv/.installed $(BUILT_FROM)
@@ -47,15 +47,15 @@ test: lint  ## lint and all tests: those of the libraries on all cores, then tho
 
 verify: setup  ## accuracy claims, measured: results/verify.json
 	@$(ENVIRONMENT)
-	PYTHONPATH=tests/support python benchmarks/verify.py $(if $(RECORD),--record $(RECORD))
+	python benchmarks/verify.py $(if $(RECORD),--record $(RECORD))
 
 bench: setup  ## speed claims beside their peers: results/bench.json
 	@$(ENVIRONMENT)
-	PYTHONPATH=tests/support python benchmarks/bench.py
+	python benchmarks/bench.py
 
 soak: setup  ## long runs of the logger, 12 minutes: results/soak.json
 	@$(ENVIRONMENT)
-	PYTHONPATH=tests/support python benchmarks/soak.py
+	python benchmarks/soak.py
 
 clean:  ## remove what was built and made (not bags)
 	@rm -rf .venv ros2_ws/build ros2_ws/install ros2_ws/log results

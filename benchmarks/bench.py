@@ -128,8 +128,8 @@ def identification_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     title = "reading a bag of 600 s, s"
     for name, key in (("rosbags", "rosbags_seconds"), ("mcap-ros2-support", "mcap_ros2_support_seconds")):
         seconds = found[key]
-        peer = (f"{name} {seconds:.2f}", f"{seconds / read:.1f}") if seconds else (f"{name} not installed", "-")
-        rows.append((title, f"{read:.2f}", "1", *peer))
+        columns = (f"{name} {seconds:.2f}", f"{seconds / read:.1f}") if seconds else (f"{name} not installed", "-")
+        rows.append((title, f"{read:.2f}", "1", *columns))
         title = ""
     rows.append(("from two tests of 600 s to the models, s", f"{found['fit_seconds']:.2f}", "3", "-", "-"))
     ratio = f"{peer['time_ratio']:.2f}"
@@ -138,8 +138,8 @@ def identification_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     for what in ("frequency", "damping"):
         theirs = peer[f"{what}_error"]
         for method, ours in (("vector fitting", peer[f"our_{what}_error"]), ("identify", likely[f"{what}_error"])):
-            peer = (f"scikit-rf {100 * theirs:.4f}", f"{theirs / ours:.2f}")
-            rows.append((f"{method}: {what}, worst pole, %", f"{100 * ours:.4f}", "-", *peer))
+            columns = (f"scikit-rf {100 * theirs:.4f}", f"{theirs / ours:.2f}")
+            rows.append((f"{method}: {what}, worst pole, %", f"{100 * ours:.4f}", "-", *columns))
     return rows
 
 
@@ -148,8 +148,8 @@ def bag_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     title = "reading 1 000 000 responses, s"
     for name, key in (("rosbags", "rosbags"), ("mcap-ros2-support", "mcap_ros2_support")):
-        peer = f"{name} {found[f'{key}_seconds']:.1f}", f"{found[f'ratio_to_{key}']:.1f}"
-        rows.append((title, f"{found['read_1e6_seconds']:.2f}", "2, 10 x", *peer))
+        columns = f"{name} {found[f'{key}_seconds']:.1f}", f"{found[f'ratio_to_{key}']:.1f}"
+        rows.append((title, f"{found['read_1e6_seconds']:.2f}", "2, 10 x", *columns))
         title = ""
     rows.append(("of it, a hundredth of the time, s", f"{found['time_range_seconds']:.3f}", "-", "-", "-"))
     return rows

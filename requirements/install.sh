@@ -35,4 +35,6 @@ else
   .venv/bin/pip install --quiet --disable-pip-version-check -c requirements/lock.txt \
     -r requirements/run.txt -r requirements/develop.txt -r requirements/ros.txt
 fi
+# what tests, benchmarks and scripts share is found from anywhere in this environment
+echo "$PWD/tests/support" > "$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/abrace_tests.pth"
 touch "$stamp"

@@ -15,7 +15,7 @@ LQG1, LQG2, LQG4 and LQG5 have LQG3's weights, all but the command's multiplied 
 floor 1's acceleration alone. The paper says of them only that LQG3's command is the larger one of the first three. The
 factors give the peak commands of PEAK_COMMANDS, which are our choice: from half of LQG3's to a little more.
 
-    PYTHONPATH=tests/support python3 src/abrace/scripts/fit_weights.py [TABLE_BAG COMMAND_BAG]
+    python src/abrace/scripts/fit_weights.py [TABLE_BAG COMMAND_BAG]
 
 prints the weights in SI units, as the files have them, and in the paper's, with errors and margins: with the model,
 with models from other tests, and with the rig's own model. Without bags the tests are simulated.
