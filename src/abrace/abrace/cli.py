@@ -38,7 +38,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Entry point, with the `arguments` of the command line by default; returns the exit code."""
     given = parser().parse_args(arguments)
     try:
         with terminate_as_exception():

@@ -64,7 +64,7 @@ LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
 @dataclass
-class Runner:
+class _Runner:
     """A campaign that is being run."""
 
     campaign: Campaign
@@ -336,7 +336,7 @@ def run_campaign(path: Path) -> Path:
     bags = Path("bags") / campaign.name / datetime.now().strftime("%Y%m%d-%H%M%S")
     shutil.rmtree(results, ignore_errors=True)
     results.mkdir(parents=True)
-    runner = Runner(campaign, load_rig(rig_file), rig_file, results, bags)
+    runner = _Runner(campaign, load_rig(rig_file), rig_file, results, bags)
     progress = Progress(len(campaign.steps))
     for number, step in enumerate(campaign.steps):
         with progress.step(step.name) as shown:

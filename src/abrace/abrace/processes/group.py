@@ -118,7 +118,7 @@ class NodeProcess:
             self._popen.wait(timeout=1.0)
 
     def last_lines(self, count: int = 10) -> list[str]:
-        """The last lines of its output."""
+        """The last `count` lines of its output."""
         with self.log_file.open("rb") as log:
             log.seek(0, os.SEEK_END)
             log.seek(max(0, log.tell() - 500 * count))
@@ -257,7 +257,7 @@ class ProcessGroup:
                 self._ended.append(process)
 
     def stop(self, name: str, grace: float | None = None) -> NodeProcess:
-        """Stop a process and all that it started: SIGINT, after `grace` SIGTERM, after `grace` SIGKILL.
+        """Stop the process `name` and all that it started: SIGINT, after `grace` [s] SIGTERM, after `grace` SIGKILL.
 
         Returns
         -------
@@ -275,7 +275,7 @@ class ProcessGroup:
         return process
 
     def stop_all(self, order: Sequence[str] = (), grace: float | None = None) -> None:
-        """Stop every process: those named in `order` first, in that order, then the others, the last started first."""
+        """Stop every process: those in `order` first, then the others, the last started first; `grace` as in `stop`."""
         others = [name for name in reversed(self._processes) if name not in order]
         for name in [name for name in order if name in self._processes] + others:
             self.stop(name, grace)

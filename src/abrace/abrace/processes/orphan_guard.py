@@ -40,7 +40,7 @@ def is_running(group: int) -> bool:
 
 
 def send(group: int, number: signal.Signals) -> None:
-    """Send a signal to every process of the group; nothing happens when it is gone."""
+    """Send the signal `number` to every process of the `group`; nothing happens when it is gone."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(group, number)
 

@@ -159,7 +159,7 @@ Content = TypeVar("Content", bound=Checked)
 
 
 def read_results(directory: Path | str) -> Results:
-    """Read the results of a campaign.
+    """Read the results in the `directory` of a campaign.
 
     Raises
     ------

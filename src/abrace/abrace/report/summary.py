@@ -17,7 +17,7 @@ SAME_POLE = 0.05
 
 
 def summarise(results: Results) -> dict[str, Any]:
-    """The content of summary.json: what the campaign's steps have found out."""
+    """The content of summary.json from the `results` of a campaign."""
     summary: dict[str, Any] = {"timing": timing_summary(results.timing)}
     if results.poles is not None:
         summary["poles"] = {

@@ -27,7 +27,7 @@ from abrace_plant.records.reading import UNITS, Reading, checked_reading, unit_n
 if TYPE_CHECKING:
     from abrace_plant.records.reading import RecordText
 
-KNET_ENDINGS = tuple(f".{direction}{place}" for direction in ("ew", "ns", "ud") for place in ("", "1", "2"))
+KNET_ENDINGS = tuple(f".{direction}{sensor}" for direction in ("ew", "ns", "ud") for sensor in ("", "1", "2"))
 V2_ENDINGS = (".v2", ".v2c")
 
 _KNET_SCALE = re.compile(r"([\d.]+)\s*\(\s*(\w+)\s*\)\s*/\s*([\d.]+)\s*$")
