@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from identification_accuracy import Trial, coverage, true_pairs, worst_errors, worst_of
-from n4sid import n4sid_poles
 
 from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
@@ -376,9 +375,3 @@ def test_true_pairs_are_the_buildings_from_the_table_and_all_six_from_the_comman
     pairs = true_pairs(rig)
     assert (len(pairs["table"]), len(pairs["command"]), len(pairs["common"])) == (3, 6, 6)
     assert pairs["command"][:3] == pairs["table"]
-
-
-def test_subspace_identification_refuses_an_excitation_with_too_few_lines(rig, laboratory_of):
-    few = laboratory_of(rig, 1).multisine_test(False, True, 2)
-    with pytest.raises(AbraceError, match=r"bags/multisine: IB01AD warns 5, .* rank-deficient, expected full rank"):
-        n4sid_poles(few, "U", 13)

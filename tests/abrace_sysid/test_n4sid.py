@@ -1,6 +1,8 @@
 import numpy as np
+import pytest
 from n4sid import n4sid_poles
 
+from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
 
 
@@ -12,3 +14,20 @@ def test_subspace_identification_finds_the_building_in_both_tests(rig, table_tes
         found = np.array(pole_table(poles)[:3])
         assert np.abs(found[:, 0] / true[:, 0] - 1).max() < 1e-4, (name, found)
         assert np.abs(found[:, 1] / true[:, 1] - 1).max() < 1e-2, (name, found)
+
+
+@pytest.mark.parametrize("seed", [1, 7, 9])
+def test_a_multisine_that_has_nothing_above_its_band_is_decimated_further(rig, laboratory_of, seed):
+    """At FILL seeds 7 and 9 give no pole of the building, on every kernel."""
+    true = np.array(pole_table(rig.model.poles()))
+    found = np.array(pole_table(n4sid_poles(laboratory_of(rig, seed).multisine_test(False, True), "U", 13)))
+    nearest = found[[np.argmin(np.abs(found[:, 0] - frequency)) for frequency in true[:, 0]]]
+    assert np.abs(nearest[:, 0] / true[:, 0] - 1).max() < 1e-3
+
+
+def test_an_input_of_a_few_lines_is_refused(rig, laboratory):
+    time = np.arange(60_000) / rig.sample_rate
+    command = sum(1000 * np.sin(2 * np.pi * frequency * time) for frequency in (1.2, 3.6, 6.0, 9.0, 16.7))
+    run = laboratory.open_loop("bags/lines", 0 * time, command)
+    with pytest.raises(AbraceError, match="bags/lines: U does not excite 60 block rows"):
+        n4sid_poles(run, "U", 13)
