@@ -20,8 +20,9 @@ INTRODUCTION = """# Nodes
 
 Written by `python docs/write_nodes.py` from the tables in the nodes' source: what a node declares is what stands here.
 
-Every node publishes its state on `diagnostics` once a second. Topic names are relative: they can be remapped and put in
-a namespace. A wrong parameter ends the node with one line and exit code 2. Parameters are read once, when the node
+Every node publishes its state on `/diagnostics` once a second and when it changes, where `rqt_robot_monitor` and
+`diagnostic_aggregator` look for it. A status has the node's full name (`rig/plant: state`) and the namespace as hardware,
+so that several rigs can be told apart. All other topic names are relative: they can be remapped and put in a namespace. A wrong parameter ends the node with one line and exit code 2. Parameters are read once, when the node
 starts, but for those marked *live*. A life cycle node moves something, and does so only while it is active.
 """
 

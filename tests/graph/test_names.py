@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 
+from abrace.nodes.graph_monitor import GraphMonitor
 from abrace_interfaces.msg import Response
 
 
@@ -25,6 +27,25 @@ def test_two_rigs_in_two_namespaces_do_not_disturb_each_other(new_graph, new_com
         first.until_fault("plant", "emergency stop")
         second.until_well("plant")
         assert hands[0].responses[0].displacement != hands[1].responses[0].displacement, "noise of their own"
+        expect_told_apart(faulty=first, well=second)
+
+
+def expect_told_apart(faulty, well):
+    """All report on /diagnostics; a campaign in one namespace takes no fault of a node of the same name in another."""
+    heard = faulty.listen(DiagnosticArray, "/diagnostics")
+    faults = {}
+    with GraphMonitor(well.namespace, ()) as monitor:
+
+        def twice_from_both():
+            monitor.spin_once()
+            faults.update(monitor.faults)
+            names = [status.name for array in heard for status in array.status]
+            return all(names.count(f"{graph.namespace[1:]}/plant: state") >= 2 for graph in (faulty, well))
+
+        faulty.until(twice_from_both, "two reports of each rig")
+        assert monitor.values.keys() == {"plant"}
+    assert not faults
+    assert {status.hardware_id for array in heard for status in array.status} == {faulty.namespace, well.namespace}
 
 
 def test_topics_can_be_remapped(graph):

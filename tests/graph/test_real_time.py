@@ -55,7 +55,7 @@ def graph(rig: Any) -> Iterator[Any]:
     rig.until(lambda: rig.responses[since:] and not rig.responses[-1].command[0], "the braces to be let go")
     rig.clear_fault("plant")
     for subscription in list(rig.node.subscriptions):
-        if subscription.topic_name != f"{rig.namespace}/diagnostics":
+        if subscription.topic_name != "/diagnostics":
             rig.node.destroy_subscription(subscription)
 
 

@@ -25,7 +25,7 @@ from abrace_core.node import AbraceNode, Parameter, RCLError, rcl_message, run
 
 PARAMETERS = [
     Parameter("output", "", "bag (a new directory) to write", required=True),
-    Parameter("topics", ["response", "brace_command", "ground_motion", "diagnostics"], "topics to record, by name"),
+    Parameter("topics", ["response", "brace_command", "ground_motion", "/diagnostics"], "topics to record, by name"),
     Parameter("pattern", "", "regular expression: topics are recorded too in whose full names it is found"),
     Parameter("all", False, "record all topics but hidden ones"),
     Parameter("facts", [], "facts of the run, each as key=value, written into the bag", element=str),
@@ -264,7 +264,7 @@ class Logger(AbraceNode):
             return f"wrote {count} messages to {bag.file}"
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `diagnostics`."""
+        """State for `/diagnostics`."""
         values: dict[str, object] = {}
         overflowed = self.recording.overflowed if self.recording else {}
         for name, topic in self.topics.items():

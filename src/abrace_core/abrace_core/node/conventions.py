@@ -28,6 +28,9 @@ RCLError = rclpy_implementation.RCLError
 ACKNOWLEDGEMENT_TIMEOUT = Duration(seconds=0.5)
 """How long a node that ends waits until its subscribers have what it published."""
 
+DIAGNOSTICS = "/diagnostics"
+"""Where monitors look for every node's state; absolute, so that they find it whatever the rig's namespace is."""
+
 DISPLAY_PERIOD = 0.02
 """Seconds of wall time between messages for viewers."""
 
@@ -74,7 +77,7 @@ class AbraceNode(Node):
         self.ended = Future()
         self._endpoint_counts: list[tuple[str, Callable[[], int]]] = []
         self._publishers_of_streams: list[Publisher] = []
-        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self.create_timer(1.0, self.publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _on_set_parameters(self, given: list[RosParameter]) -> SetParametersResult:
@@ -117,14 +120,14 @@ class AbraceNode(Node):
         return None, "running", {}
 
     def publish_diagnostics(self) -> None:
-        """Publish the node's state on `diagnostics`."""
+        """Publish the node's state on `/diagnostics`, under its full name."""
         fault, message, values = self.diagnose()
         values.update((name, count()) for name, count in self._endpoint_counts)
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if fault else DiagnosticStatus.OK,
             name=f"{self.get_fully_qualified_name().lstrip('/')}: state",
             message=f"fault: {fault}" if fault else message,
-            hardware_id=self.get_name(),
+            hardware_id=self.get_namespace(),
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])

@@ -85,7 +85,7 @@ class Controller(BraceCommander):
         self.active_controller.advance(force)
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `diagnostics`, with the innovation of each measured quantity."""
+        """State for `/diagnostics`, with the innovation of each measured quantity."""
         fault, message, values = super().diagnose()
         if self.configured:
             used = self.active_controller

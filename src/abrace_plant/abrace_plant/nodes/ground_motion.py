@@ -226,7 +226,7 @@ class GroundMotion(AbraceLifecycleNode):
             self.come_to_rest()
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `diagnostics`."""
+        """State for `/diagnostics`."""
         playback = self.playback
         if self.stopped:
             return "emergency stop", "", {}

@@ -207,7 +207,7 @@ class Plant(AbraceLifecycleNode):
         return response
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `diagnostics`."""
+        """State for `/diagnostics`."""
         if not self.configured:
             return None, "not configured", {}
         values: dict[str, object] = {
