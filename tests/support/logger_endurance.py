@@ -279,7 +279,9 @@ def bare_subscription(namespace: str) -> None:
         if time.monotonic() > published + 0.5:
             published = time.monotonic()
             entry = KeyValue(key="publishers of response", value=str(subscription.get_publisher_count()))
-            diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(name=f"{namespace[1:]}/bare: state", values=[entry])]))
+            diagnostics.publish(
+                DiagnosticArray(status=[DiagnosticStatus(name=f"{namespace[1:]}/bare: state", values=[entry])])
+            )
     waiting = -1
     while waiting != count:
         waiting = count

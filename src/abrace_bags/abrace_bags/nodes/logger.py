@@ -137,7 +137,6 @@ class Logger(AbraceNode):
         if self.errors.get(name) == str(error):
             return
         self.errors[name] = str(error)
-        print(f"logger: {error}", file=sys.stderr, flush=True)
         self.publish_diagnostics()
 
     def tick(self) -> None:
@@ -229,7 +228,7 @@ class Logger(AbraceNode):
         counts = {self.given_names.get(name, name): one for name, one in bag.counts().items()}
         lost = ", ".join(f"{one.lost} of {name}" for name, one in counts.items() if one.lost)
         if lost:
-            print(f"logger: LOST {lost}", file=sys.stderr, flush=True)
+            self.get_logger().error(f"lost {lost}")
         messages = ", ".join(f"{one.messages} of {name}" for name, one in counts.items())
         return f"wrote {bag.directory}: {messages or 'nothing came'}"
 

@@ -58,6 +58,8 @@ class PlayServer(ActionServer):
 class GroundMotion(AbraceLifecycleNode):
     """Answers each sample with the ground acceleration of the next."""
 
+    remedy = "the table comes to rest; release the button to play again"
+
     def __init__(self) -> None:
         super().__init__("ground_motion", PARAMETERS)
         self.playback: Playback | None = None
@@ -131,13 +133,14 @@ class GroundMotion(AbraceLifecycleNode):
         try:
             stamp, sequence, _ = self.responses.unpack(payload)
         except AbraceError as error:
-            self.get_logger().error(str(error))
+            self.get_logger().error(str(error), throttle_duration_sec=1.0)
             self.come_to_rest()
             return
         if self.watch.update(sequence, stamp) < 0:
             self.restart(sequence)
         playback = self.playback
-        if self.watch.problem and playback is not None and playback.played:
+        if self.watch.problem and playback is not None and playback.played and not playback.cancelled:
+            self.get_logger().error(f"the table comes to rest: {self.watch.problem}")
             playback.cancel()
         acceleration = playback.answer(sequence) if playback is not None else 0.0
         self.publisher.publish(pack_acceleration(stamp, acceleration))
@@ -224,6 +227,7 @@ class GroundMotion(AbraceLifecycleNode):
         self.stopped = message.data
         if self.stopped:
             self.come_to_rest()
+        self.publish_diagnostics()
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """State for `/diagnostics`."""
