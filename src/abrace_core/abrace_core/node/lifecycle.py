@@ -73,7 +73,8 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         except AbraceError as error:
             self._refusal = error
             if not self._starting:
-                self.get_logger().error(f"{act.__name__} refused: {error}")
+                refused = "refused" if otherwise == TransitionCallbackReturn.FAILURE else "failed"
+                self.get_logger().error(f"{act.__name__} {refused}: {error}")
             return otherwise
         except Exception as error:
             self.get_logger().fatal(f"{act.__name__} failed: {type(error).__name__}: {error}")

@@ -227,13 +227,18 @@ class GroundMotion(AbraceLifecycleNode):
         self.stopped = message.data
         if self.stopped:
             self.come_to_rest()
-        self.publish_diagnostics()
+        self.report(self.fault)
+
+    @property
+    def fault(self) -> str | None:
+        """The fault, if there is one: the emergency stop, while it is pressed."""
+        return "emergency stop" if self.stopped else None
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """State for `/diagnostics`."""
         playback = self.playback
-        if self.stopped:
-            return "emergency stop", "", {}
+        if self.fault:
+            return self.fault, "", {}
         values: dict[str, object] = {"lost": self.watch.missing} if self.active else {}
         if playback is None or playback.done:
             return None, "ready" if self.active else "not active", values

@@ -143,8 +143,7 @@ class Plant(AbraceLifecycleNode):
             ground_acceleration=reading[-1],
         )
         self.response.publish(payload)
-        if self.loop.fault_reason != self.reported_fault:
-            self.publish_diagnostics()
+        self.report(self.loop.fault_reason)
         now = time.monotonic()
         if now >= self.next_display:
             self.next_display = now + DISPLAY_PERIOD
@@ -200,7 +199,7 @@ class Plant(AbraceLifecycleNode):
         self.pressed = message.data
         if self.pressed:
             self.loop.fault("emergency stop")
-            self.publish_diagnostics()
+            self.report(self.loop.fault_reason)
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Clear the latched fault."""
@@ -209,7 +208,7 @@ class Plant(AbraceLifecycleNode):
         if response.success:
             response.message = f"cleared: {reason}"
             self.loop.clear_faults()
-            self.publish_diagnostics()
+            self.report(self.loop.fault_reason)
         else:
             response.message = "emergency stop is still pressed" if reason else "no fault"
         return response
