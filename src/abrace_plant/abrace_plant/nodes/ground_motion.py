@@ -191,6 +191,7 @@ class GroundMotion(AbraceLifecycleNode):
             motion = self.motion(request.record, request.peak_acceleration, request.duration)
         except AbraceError as error:
             message = str(error)
+            self.get_logger().error(f"play_ground_motion refused: {message}")
             self.server.notify_execute(goal, lambda goal: self.refuse(goal, message))
             return
         self.playback = Playback(motion, self.parameters.sample_rate)
