@@ -112,7 +112,7 @@ class BraceCommander(AbraceLifecycleNode):
         self.latency.add(time.perf_counter_ns() - begin, time.time_ns() - stamp)
         if wanted is not None:
             self.acted(force)
-        self.report(self.fault)
+        self.report_fault(self.fault)
 
     def on_emergency_stop(self, message: Bool) -> None:
         """The emergency stop is pressed or released."""
@@ -120,7 +120,7 @@ class BraceCommander(AbraceLifecycleNode):
         if self.stop_pressed:
             self.stop_latched = True
             self.guard.fault(EMERGENCY_STOP)
-            self.report(self.fault)
+            self.report_fault(self.fault)
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Clear the latched fault; the next sample is a first one."""
@@ -134,7 +134,7 @@ class BraceCommander(AbraceLifecycleNode):
             self.stop_latched = False
             self.guard.clear()
             self.watch.sequence = -1
-            self.report(self.fault)
+            self.report_fault(self.fault)
         return response
 
     @property

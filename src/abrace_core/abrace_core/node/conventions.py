@@ -171,7 +171,7 @@ class AbraceNode(Node):
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
-    def report(self, fault: str | None) -> None:
+    def report_fault(self, fault: str | None) -> None:
         """Publish and log at once what `diagnose` will call the fault, if it has come or gone since the last time."""
         if fault != self.reported_fault:
             self.publish_diagnostics()

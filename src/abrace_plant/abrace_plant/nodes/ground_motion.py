@@ -228,7 +228,7 @@ class GroundMotion(AbraceLifecycleNode):
         self.stopped = message.data
         if self.stopped:
             self.come_to_rest()
-        self.report(self.fault)
+        self.report_fault(self.fault)
 
     @property
     def fault(self) -> str | None:

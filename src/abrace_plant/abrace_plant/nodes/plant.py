@@ -143,7 +143,7 @@ class Plant(AbraceLifecycleNode):
             ground_acceleration=reading[-1],
         )
         self.response.publish(payload)
-        self.report(self.loop.fault_reason)
+        self.report_fault(self.loop.fault_reason)
         now = time.monotonic()
         if now >= self.next_display:
             self.next_display = now + DISPLAY_PERIOD
@@ -199,7 +199,7 @@ class Plant(AbraceLifecycleNode):
         self.pressed = message.data
         if self.pressed:
             self.loop.fault("emergency stop")
-            self.report(self.loop.fault_reason)
+            self.report_fault(self.loop.fault_reason)
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Clear the latched fault."""
@@ -208,7 +208,7 @@ class Plant(AbraceLifecycleNode):
         if response.success:
             response.message = f"cleared: {reason}"
             self.loop.clear_faults()
-            self.report(self.loop.fault_reason)
+            self.report_fault(self.loop.fault_reason)
         else:
             response.message = "emergency stop is still pressed" if reason else "no fault"
         return response
