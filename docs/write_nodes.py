@@ -20,15 +20,24 @@ INTRODUCTION = """# Nodes
 
 Written by `python docs/write_nodes.py` from the tables in the nodes' source: what a node declares is what stands here.
 
-Every node publishes its state on `diagnostics` once a second. Topic names are relative: they can be remapped and put in
-a namespace. A wrong parameter ends the node with one line and exit code 2. Parameters are read once, when the node
-starts, but for those marked *live*. A life cycle node moves something, and does so only while it is active.
+Every node publishes its state on `/diagnostics`, once a second and when it changes, where `rqt_robot_monitor` and
+`diagnostic_aggregator` look for it. A status has the node's full name (`rig/plant: state`) and the namespace as
+hardware ID: several rigs can be told apart. A fault is logged as well, when it comes and when it is cleared, on the
+terminal and on `/rosout`, with what to do about it.
+
+All other topic names are relative: they can be remapped and put in a namespace. A wrong parameter ends the node with
+one line and exit code 2. Parameters are read once, when the node starts, but for those marked *live*. Parameters that
+are set together are all accepted or all refused. An empty list is `[]`; where a tool can't pass one, `['']` is the
+same. A life cycle node moves something, and does so only while it is active.
+
+In lockstep the rig publishes its time on `clock` in its own namespace, so that no rig changes another's time. Tools
+with `use_sim_time` take it by `-r /clock:=/rig/clock`; for one rig alone, give `-r clock:=/clock` to the plant.
 """
 
 NODES = {
     "abrace_plant": {
         "plant": "Takes `brace_command`, `ground_motion`, `emergency_stop`; publishes `response`, `joint_states`, "
-        "`robot_description`, in lockstep `/clock`. Service `~/clear_fault` (std_srvs/Trigger).",
+        "`robot_description`, in lockstep `clock` (rosgraph_msgs/Clock). Service `~/clear_fault` (std_srvs/Trigger).",
         "ground_motion": "Takes `response`, `emergency_stop`; publishes `ground_motion`. Action `play_ground_motion`.",
         "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",
         "characterize": "Offline: a rig measured as the paper measured its building, in numbers and drawn.",

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 import domain_coordinator
 import pytest
 import rclpy
-from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
+from rclpy.parameter import get_parameter_value
 
 from abrace_core.errors import AbraceError
-from abrace_core.node import Parameter, declare
+from abrace_core.node import AbraceNode, Parameter, declare
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -28,6 +30,11 @@ TABLE = [
     Parameter("band", [0.0, 10.0], "Hz", minimum=0.0),
     Parameter("inputs", ["table"], "answered", choices=("table", "braces"), required=True),
     Parameter("matrix", [], "row by row", element=float),
+]
+LIVE = [
+    Parameter("faults", [], "of sensors", element=str, live=True),
+    Parameter("gains", [1.0], "of channels", live=True),
+    Parameter("file", "", "to use next", live=True),
 ]
 
 
@@ -132,12 +139,27 @@ def test_one_value_where_a_list_is_meant_is_a_list_of_one(node):
     assert list(rig.get_parameter("band").value) == [10.0]
 
 
-def test_a_list_that_may_be_empty_can_be_given_so(node):
-    values = declare(node(topics=None, matrix=None), [*TABLE, Parameter("topics", ["response"], "to record")])
-    assert (values.topics, values.matrix) == ([], []), "`-p topics:=[]` comes without a type"
+@pytest.mark.parametrize("empty", [None, [], "", [""], ["", ""]], ids=repr)
+def test_a_list_that_may_be_empty_can_be_given_so_in_every_spelling(node, empty):
+    rig = node(topics=empty, matrix=empty)
+    values = declare(rig, [*TABLE, Parameter("topics", ["response"], "to record")])
+    assert (values.topics, values.matrix) == ([], [])
+    types = [ParameterType.PARAMETER_STRING_ARRAY, ParameterType.PARAMETER_DOUBLE_ARRAY]
+    assert [rig.describe_parameter(name).type for name in ("topics", "matrix")] == types
+    assert [rig.get_parameter(name).type_.value for name in ("topics", "matrix")] == types
     for name in ("band", "inputs"):
         with pytest.raises(AbraceError, match=rf"^parameter {name}: .*expected a list"):
-            declare(node(**{name: None}), TABLE)
+            declare(node(**{name: empty}), TABLE)
+
+
+def test_a_required_parameter_that_is_missing_is_told_with_how_to_give_it(node):
+    for table, expected in (
+        ([Parameter("bag", "", "bag to read", required=True)], "-p bag:=text: bag to read"),
+        ([Parameter("bags", [], "bags to read", element=str, required=True)], r"-p bags:=\[text\]: bags to read"),
+        ([Parameter("a_d", [], "A_d", element=float, required=True, source="--params-file F")], "--params-file F"),
+    ):
+        with pytest.raises(AbraceError, match=rf"^parameter {table[0].name}: not given, expected {expected}$"):
+            declare(node(), table)
 
 
 def test_an_unknown_name_is_refused_with_those_that_there_are(node):
@@ -147,3 +169,75 @@ def test_an_unknown_name_is_refused_with_those_that_there_are(node):
 
 def test_names_that_ros_itself_has_are_let_pass(node):
     declare(node(use_sim_time=False), TABLE)
+
+
+class Live(AbraceNode):
+    """A node with live parameters that remembers what it applied, and refuses a `file` of the name `absent`."""
+
+    def __init__(self, context: rclpy.Context) -> None:
+        super().__init__("live", LIVE, context=context)
+        self.applied: list[tuple[str, Any]] = []
+
+    def prepare_change(self, name: str, value: Any) -> Callable[[], None]:
+        if value == "absent":
+            raise AbraceError("file absent: no such file")
+        return lambda: self.applied.append((name, value))
+
+    def given(self, name: str) -> Any:
+        """The value that the node uses, which has to be the one that ROS shows, with the table's type."""
+        parameter, used = self.get_parameter(name), getattr(self.parameters, name)
+        assert (list(parameter.value) if isinstance(used, list) else parameter.value) == used
+        assert parameter.type_.value == self.describe_parameter(name).type
+        return used
+
+
+@pytest.fixture
+def live(context: rclpy.Context) -> Iterator[Live]:
+    """A node with live parameters."""
+    made = Live(context)
+    yield made
+    made.destroy_node()
+
+
+def sent(name: str, value: ParameterValue) -> RosParameter:
+    """A parameter as it comes over the service."""
+    return RosParameter.from_parameter_msg(ParameterMessage(name=name, value=value))
+
+
+EMPTY_TYPES = [kind.value for kind in RosParameter.Type if kind.name.endswith("_ARRAY") or kind.name == "NOT_SET"]
+
+
+@pytest.mark.parametrize(
+    "empty",
+    [
+        *(get_parameter_value(text) for text in ("[]", "[ ]", "''", "", "['']")),
+        *(ParameterValue(type=kind) for kind in EMPTY_TYPES),
+    ],
+    ids=lambda value: f"{value.type}{list(value.string_array_value)}",
+)
+def test_a_live_list_becomes_empty_in_every_spelling(live, empty):
+    assert live.set_parameters_atomically([RosParameter("faults", value="a2=stuck")]).successful
+    assert live.given("faults") == ["a2=stuck"]
+    result = live.set_parameters_atomically([sent("faults", empty)])
+    assert result.successful, result.reason
+    assert live.given("faults") == []
+    assert not live.set_parameters_atomically([sent("gains", empty)]).successful
+    assert live.given("gains") == [1.0]
+    assert live.applied == [("faults", ["a2=stuck"]), ("faults", [])]
+
+
+def test_parameters_that_are_refused_together_leave_nothing_changed(live):
+    good = RosParameter("faults", value=["a2=stuck"])
+    for wrong, reason in (
+        (RosParameter("file", value="absent"), "file absent: no such file"),
+        (RosParameter("gains", value=[math.nan]), "parameter gains: [nan], expected a list like [3.0]"),
+        (RosParameter("gains", value=3), "Wrong parameter type"),
+    ):
+        result = live.set_parameters_atomically([good, wrong])
+        assert not result.successful
+        assert reason in result.reason
+        assert not live.applied
+        assert [live.given(name) for name in ("faults", "gains", "file")] == [[], [1.0], ""]
+    files = [RosParameter("file", value=name) for name in ("one", "two")]
+    assert live.set_parameters_atomically([good, *files]).successful
+    assert live.applied == [("faults", ["a2=stuck"]), ("file", "two")], "of two values the last"

@@ -55,7 +55,7 @@ def test_el_centro_is_measured_as_read_and_as_played_and_drawn(tmp_path):
         ({"record": "el_centro", "taper": 30.0}, "record: ground motion el_centro: taper 30 s, expected at most half"),
         ({"record": "el_centro", "baseline": "cubic"}, "record: parameter baseline: 'cubic', expected a text out of"),
         ({"record": "still.txt", "unit": "g"}, "record: ground motion still.txt: no times in the file"),
-        ({}, "record: parameter record: '', expected a text, not empty"),
+        ({}, "record: parameter record: not given, expected -p record:=text: a known name or a file"),
     ],
     ids=lambda value: "" if isinstance(value, str) else " ".join(value),
 )

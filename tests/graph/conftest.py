@@ -75,13 +75,13 @@ class Graph:
         self._clients: dict[str, Client] = {}
         self.statuses: dict[str, DiagnosticStatus] = {}
         """The last diagnostics of each node, by its name."""
-        self.node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 100)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            path = status.name.partition(":")[0]
-            assert "/" + path.rpartition("/")[0] == self.namespace, f"diagnostics of {path} in {self.namespace}"
-            self.statuses[path.rpartition("/")[2]] = status
+            namespace, _, name = status.name.partition(":")[0].rpartition("/")
+            if f"/{namespace}" == self.namespace:
+                self.statuses[name] = status
 
     def start(
         self,

@@ -110,7 +110,7 @@ def expect_refusal(ended: subprocess.CompletedProcess, *expected: str) -> None:
             ["-p", "record:=white_noise", "-p", "duration:=9.0", "-p", "band:=[5.0]"],
             ["parameter band"],
         ),
-        ("logger", [], ["parameter output", "not empty"]),
+        ("logger", [], ["parameter output: not given", "-p output:=text", "new directory"]),
         ("logger", ["-p", "output:=/proc/none/bag"], ["/proc/none"]),
         ("logger", ["-p", "output:=b", "-p", "facts:=[no_equals]"], ["parameter facts", "key=value"]),
         ("logger", ["-p", "output:=b", "-p", "facts:=[a=1, a=2]"], ["parameter facts", "each key once"]),
@@ -183,6 +183,11 @@ def test_a_wrong_controller_file_is_refused_in_one_line(tmp_path, old, new, expe
     path.write_text(text.replace(old, new))
     ended = run_node("abrace_lqg", "controller", "--ros-args", "--params-file", path)
     expect_refusal(ended, expected)
+
+
+def test_a_controller_without_its_file_says_what_to_give():
+    expected = "parameter name: not given, expected --params-file FILE, the controller file (YAML) that `design` wrote"
+    expect_refusal(run_node("abrace_lqg", "controller"), expected)
 
 
 def test_the_command_names_what_there_is_to_run():

@@ -90,7 +90,7 @@ def test_ctrl_c_ends_the_node_and_its_processes_without_a_word(model, tmp_path):
 @pytest.mark.parametrize(
     ("parameters", "expected"),
     [
-        ({"output": "o"}, "parameter model: ''"),
+        ({"output": "o"}, "parameter model: not given, expected -p model:=FILE"),
         ({"output": "o", "pick": 1}, "o/exploration.json: No such file"),
         (
             {"output": "o", "noise": 1, "scheduler": "tcp://127.0.0.1:1"},

@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import Log, Parameter
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import get_parameter_value
 
+from abrace_core.controller_file import Controller, save_controller
+from abrace_core.linear_model import LinearModel
 from abrace_interfaces.msg import Response
 
 
@@ -36,13 +43,53 @@ def test_the_plant_does_nothing_until_it_is_configured_and_activated(graph):
     assert len(responses) == seen, "no sample after deactivation"
 
 
-def test_a_transition_out_of_turn_is_refused_and_the_node_goes_on(graph):
+STATES = {
+    "unconfigured": {"configure": "inactive", "shutdown": "finalized"},
+    "inactive": {"activate": "active", "cleanup": "unconfigured", "shutdown": "finalized"},
+    "active": {"deactivate": "inactive", "shutdown": "finalized"},
+    "finalized": {},
+}
+"""Of a life cycle node: where each of its transitions leads."""
+PATHS = {
+    "plant": ["configure", "cleanup", "configure", "activate", "deactivate", "activate", "deactivate", "shutdown"],
+    "controller": ["configure", "activate", "deactivate", "cleanup", "configure", "activate", "shutdown"],
+}
+
+
+def change(graph, name: str, label: str) -> bool:
+    """Ask for a transition by its label, as `ros2 lifecycle set` may; whether it went."""
+    return graph.call(
+        ChangeState, f"{name}/change_state", ChangeState.Request(transition=Transition(label=label))
+    ).success
+
+
+def test_a_transition_out_of_turn_is_refused_with_a_reason_and_the_node_goes_on(graph, tmp_path):
+    law = LinearModel([[0.5]], [[0.5]], [[1.0]], [[0.0]], ("a1",), ("U",), 0.002)
+    made = Controller("c", law, np.zeros((1, 1)), np.zeros((1, 2)), np.array([20e3]), "none", "none", "none")
+    save_controller(made, tmp_path / "c.yaml")
     graph.start("plant", autostart=False)
-    for transition, goes in (("activate", False), ("configure", True), ("configure", False), ("activate", True)):
-        assert graph.change_state("plant", transition) == goes, transition
-    assert not graph.change_state("plant", "cleanup")
+    graph.start("controller", "--params-file", tmp_path / "c.yaml", autostart=False)
     responses = graph.listen(Response, "response")
-    until_samples(graph, responses, 10)
+    refused = 0
+    for name, path in PATHS.items():
+        state = "unconfigured"
+        for following in [*path, None]:
+            assert graph.state(name) == state
+            for label in {"configure", "activate", "deactivate", "cleanup", "shutdown"} - set(STATES[state]):
+                assert not change(graph, name, label), f"{label} while {state}"
+                refused += 1
+                expected = " or ".join(STATES[state]) or "none"
+                said = "\n".join(graph.output_of(name))
+                assert f"{label} refused: the node is {state}, expected " in said
+                assert all(possible in said for possible in STATES[state]), expected
+            if following is not None:
+                assert change(graph, name, following), f"{following} while {state}"
+                state = STATES[state][following]
+                if (name, state) == ("plant", "active"):
+                    until_samples(graph, responses, len(responses) + 10)
+    lines = [line for name in PATHS for line in graph.output_of(name) if "refused" in line]
+    assert len(lines) == refused, "each is logged once"
+    assert graph.node.count_publishers("response") == 1
 
 
 def test_a_rig_configured_anew_publishes_each_sample_once(graph):
@@ -72,7 +119,8 @@ def test_a_table_and_braces_configured_anew_answer_each_sample_once(graph):
     assert graph.output_of("plant")[-1].startswith("plant: done: 500 samples")
 
 
-def test_a_fault_outlasts_deactivation(graph):
+def test_a_fault_outlasts_deactivation_and_is_logged_once(graph):
+    logged = graph.listen(Log, "/rosout")
     graph.start("plant")
     press = graph.emergency_stop()
     press(True)
@@ -84,6 +132,12 @@ def test_a_fault_outlasts_deactivation(graph):
     graph.until_fault("plant", "emergency stop")
     graph.until(lambda: graph.clear_fault("plant").success, "the released button's fault to be cleared")
     graph.until_well("plant")
+    remedy = f"remove its cause, then: ros2 service call {graph.namespace}/plant/clear_fault std_srvs/srv/Trigger"
+    expected = [(b"(", f"fault: emergency stop; {remedy}"), (b"\x14", "fault cleared: emergency stop")]
+    logger = f"{graph.namespace[1:]}.plant"
+    shown = [(bytes([message.level]), message.msg) for message in logged if message.name == logger]
+    assert shown == expected
+    assert [line.partition(f"[{logger}]: ")[2] for line in graph.output_of("plant")] == [text for _, text in expected]
 
 
 def test_an_emergency_stop_while_not_active_is_not_forgotten(graph):
@@ -97,6 +151,8 @@ def test_an_emergency_stop_while_not_active_is_not_forgotten(graph):
     graph.until_fault("plant", "emergency stop")
     assert graph.change_state("excitation", "activate")
     graph.until_fault("excitation", "emergency stop")
+    (line,) = (line for line in graph.output_of("excitation") if "fault: emergency stop" in line)
+    assert f"ros2 service call {graph.namespace}/excitation/clear_fault" in line
 
 
 def test_a_node_that_is_shut_down_while_active_lets_go(graph):
@@ -114,5 +170,21 @@ def test_a_rig_that_cannot_be_configured_says_so_and_stays(graph):
     graph.start("plant", autostart=False, rig="none")
     assert not graph.change_state("plant", "configure")
     assert graph.state("plant") == "unconfigured"
-    assert "rig 'none': unknown" in "\n".join(graph.output_of("plant"))
+    (line,) = graph.output_of("plant")
+    assert "configure refused: rig 'none': unknown" in line
     assert graph.node.count_publishers("response") == 0
+
+
+def test_a_rig_that_started_by_itself_says_too_why_it_is_not_configured_again(graph):
+    graph.start("plant")
+    for transition in ("deactivate", "cleanup"):
+        graph.until(lambda transition=transition: graph.change_state("plant", transition), transition)
+    wrong = Parameter(name="sensor_faults", value=get_parameter_value("[a9=stuck]"))
+    assert (
+        graph.call(SetParameters, "plant/set_parameters", SetParameters.Request(parameters=[wrong]))
+        .results[0]
+        .successful
+    )
+    assert not graph.change_state("plant", "configure")
+    assert graph.state("plant") == "unconfigured"
+    assert any("configure refused: sensor fault 'a9=stuck'" in line for line in graph.output_of("plant"))

@@ -55,7 +55,7 @@ def graph(rig: Any) -> Iterator[Any]:
     rig.until(lambda: rig.responses[since:] and not rig.responses[-1].command[0], "the braces to be let go")
     rig.clear_fault("plant")
     for subscription in list(rig.node.subscriptions):
-        if subscription.topic_name != f"{rig.namespace}/diagnostics":
+        if subscription.topic_name != "/diagnostics":
             rig.node.destroy_subscription(subscription)
 
 
@@ -216,7 +216,9 @@ def test_the_emergency_stop_holds_until_rig_and_commander_are_cleared(graph):
         graph.until_fault(name, "emergency stop")
     assert not graph.clear_fault("excitation").success, "the button is still pressed"
     press(False)
-    graph.until(lambda: not graph.responses[-1].command[0], "the force to go to zero")
+    graph.until(
+        lambda: not graph.responses[-1].command[0] and not graph.commands[-1].force[0], "both ramps to reach zero"
+    )
     graph.until(lambda: graph.clear_fault("plant").success, "the rig to be cleared")
     until_samples(graph, 100)
     assert not commands(graph)[-100:].any(), "the commander is latched by itself"

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import get_parameter_value
 
 from abrace_bags import read_run, read_topics
 from abrace_core.controller_file import Controller, save_controller
@@ -102,8 +103,9 @@ def test_a_rig_with_its_braces_off_is_the_bare_frame(graph):
     assert max(abs(message.stroke[0]) for message in responses) < 6 * sensors.stroke.noise
 
 
-def set_faults(graph: Any, *faults: str) -> Any:
-    value = ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=list(faults))
+def set_faults(graph: Any, faults: str) -> Any:
+    """As `ros2 param set` does; the answer."""
+    value = get_parameter_value(faults)
     request = SetParameters.Request(parameters=[Parameter(name="sensor_faults", value=value)])
     return graph.call(SetParameters, "plant/set_parameters", request).results[0]
 
@@ -119,15 +121,15 @@ def test_a_channel_dies_on_demand_and_comes_back(graph):
 
     graph.until(lambda: responses, "samples")
     assert readings(50).std() > 0, "sensor noise"
-    assert set_faults(graph, "a2=stuck", "x1=zero").successful
+    assert set_faults(graph, "[a2=stuck, x1=zero]").successful
     assert readings(50).std() == 0
     assert not any(message.displacement[0] for message in responses[-50:])
     assert responses[-1].displacement[1] != 0 or responses[-2].displacement[1] != 0
-    answer = set_faults(graph, "a9=stuck")
+    answer = set_faults(graph, "[a9=stuck]")
     assert not answer.successful
     assert "expected CHANNEL=KIND" in answer.reason
     assert readings(50).std() == 0, "what was in force stays"
-    assert set_faults(graph).successful
+    assert set_faults(graph, "[]").successful
     assert readings(50).std() > 0
 
 

@@ -31,7 +31,7 @@ from rclpy.signals import SignalHandlerOptions
 from abrace_bags import read_topics
 from abrace_core import wire
 from abrace_core.errors import AbraceError
-from abrace_core.node import KEPT_STREAM_QOS
+from abrace_core.node import DIAGNOSTICS, KEPT_STREAM_QOS
 from abrace_interfaces.msg import BraceCommand, Response
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class Publishers:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.matched: dict[str, str] = {}
-        self.node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
+        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         x = [0.1, 0.2, 0.3]
         response = Response(displacement=x, acceleration=x, stroke=x[:1], force=x[:1], command=x[:1])
         messages = {"response": response, "brace_command": BraceCommand(force=x[:1]), "ground_motion": AccelStamped()}
@@ -76,7 +76,8 @@ class Publishers:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            self.matched.update((entry.key, entry.value) for entry in status.values)
+            if status.name.startswith(f"{self.namespace[1:]}/"):
+                self.matched.update((entry.key, entry.value) for entry in status.values)
 
     def wait_for_match(self, topics: Sequence[str]) -> None:
         """Wait until the subscriber reports that it is matched with us, and we with it."""
@@ -268,7 +269,7 @@ def bare_subscription(namespace: str) -> None:
     subscription = node.create_subscription(Response, "response", on_response, KEPT_STREAM_QOS, raw=True)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    diagnostics = node.create_publisher(DiagnosticArray, "diagnostics", 10)
+    diagnostics = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
     published = time.monotonic()
     stopped = threading.Event()
     # an exception could come between receiving a message and counting it
@@ -278,7 +279,9 @@ def bare_subscription(namespace: str) -> None:
         if time.monotonic() > published + 0.5:
             published = time.monotonic()
             entry = KeyValue(key="publishers of response", value=str(subscription.get_publisher_count()))
-            diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(values=[entry])]))
+            diagnostics.publish(
+                DiagnosticArray(status=[DiagnosticStatus(name=f"{namespace[1:]}/bare: state", values=[entry])])
+            )
     waiting = -1
     while waiting != count:
         waiting = count

@@ -36,7 +36,7 @@ from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import pole_table, save_model
-from abrace_core.node import find_file
+from abrace_core.node import DIAGNOSTICS, find_file
 from abrace_core.progress import Progress
 from abrace_plant.records.files import record_file
 from abrace_plant.rig.file import load_rig
@@ -120,7 +120,7 @@ class _Runner:
             nodes.append(("abrace_plant", "ground_motion", {**motion, "duration": duration, "sample_rate": rate}))
         if lockstep and not inputs:
             raise AbraceError(f"step {name}: a lockstep test without any input, expected ground motion or commands")
-        topics = ["response", *inputs, "diagnostics"]
+        topics = ["response", *inputs, DIAGNOSTICS]
         bag = self.bags / name
         facts = self.facts(name, test, seed)
         logger = {

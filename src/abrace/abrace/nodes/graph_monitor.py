@@ -12,6 +12,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.signals import SignalHandlerOptions
 
 from abrace_core.errors import AbraceError
+from abrace_core.node import DIAGNOSTICS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -23,7 +24,7 @@ SPIN_TIMEOUT = 0.05
 
 
 class GraphMonitor:
-    """Watches the nodes of a namespace through their diagnostics; a context manager.
+    """Watches the nodes of a namespace, and no others, through their diagnostics; a context manager.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ class GraphMonitor:
         self._node = rclpy.create_node("campaign", namespace=self._namespace, context=self._context)
         self._executor = rclpy.executors.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 50)
+        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 50)
         # made before the nodes start: a server drops its answers to a client that it has not discovered yet
         self._state_clients = {
             name: self._node.create_client(ChangeState, f"{name}/change_state") for name in self._driven
@@ -64,7 +65,9 @@ class GraphMonitor:
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
-            name = status.hardware_id
+            namespace, _, name = status.name.partition(":")[0].rpartition("/")
+            if f"/{namespace}" != self._namespace:
+                continue
             self.values[name] = {pair.key: pair.value for pair in status.values}
             if status.level == b"\x02":
                 self.faults[name] = status.message

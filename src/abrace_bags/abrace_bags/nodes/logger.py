@@ -25,7 +25,7 @@ from abrace_core.node import AbraceNode, Parameter, RCLError, rcl_message, run
 
 PARAMETERS = [
     Parameter("output", "", "bag (a new directory) to write", required=True),
-    Parameter("topics", ["response", "brace_command", "ground_motion", "diagnostics"], "topics to record, by name"),
+    Parameter("topics", ["response", "brace_command", "ground_motion", "/diagnostics"], "topics to record, by name"),
     Parameter("pattern", "", "regular expression: topics are recorded too in whose full names it is found"),
     Parameter("all", False, "record all topics but hidden ones"),
     Parameter("facts", [], "facts of the run, each as key=value, written into the bag", element=str),
@@ -137,7 +137,6 @@ class Logger(AbraceNode):
         if self.errors.get(name) == str(error):
             return
         self.errors[name] = str(error)
-        print(f"logger: {error}", file=sys.stderr, flush=True)
         self.publish_diagnostics()
 
     def tick(self) -> None:
@@ -229,7 +228,7 @@ class Logger(AbraceNode):
         counts = {self.given_names.get(name, name): one for name, one in bag.counts().items()}
         lost = ", ".join(f"{one.lost} of {name}" for name, one in counts.items() if one.lost)
         if lost:
-            print(f"logger: LOST {lost}", file=sys.stderr, flush=True)
+            self.get_logger().error(f"lost {lost}")
         messages = ", ".join(f"{one.messages} of {name}" for name, one in counts.items())
         return f"wrote {bag.directory}: {messages or 'nothing came'}"
 
@@ -264,7 +263,7 @@ class Logger(AbraceNode):
             return f"wrote {count} messages to {bag.file}"
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `diagnostics`."""
+        """State for `/diagnostics`."""
         values: dict[str, object] = {}
         overflowed = self.recording.overflowed if self.recording else {}
         for name, topic in self.topics.items():

@@ -250,7 +250,7 @@ class Replay(AbraceNode):
         self.progress.update(self.playback.fraction, f"{self.playback.played} messages")
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `diagnostics`."""
+        """State for `/diagnostics`."""
         message = "paused" if self.paused else "waiting for the controller" if self.began is None else "playing"
         return None, message, {"played": self.playback.played, "fraction": round(self.playback.fraction, 4)}
 

@@ -7,6 +7,7 @@ A node's module holds its parameter table, its callbacks and
 """
 
 from abrace_core.node.conventions import (
+    DIAGNOSTICS,
     DISPLAY_PERIOD,
     KEPT_STREAM_QOS,
     STREAM_QOS,
@@ -22,6 +23,7 @@ from abrace_core.node.process import run
 
 __all__ = [
     "AUTOSTART",
+    "DIAGNOSTICS",
     "DISPLAY_PERIOD",
     "KEPT_STREAM_QOS",
     "STREAM_QOS",

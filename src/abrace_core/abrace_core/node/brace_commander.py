@@ -15,6 +15,7 @@ from std_srvs.srv import Trigger
 from abrace_core.errors import AbraceError
 from abrace_core.latency import Latency
 from abrace_core.node import KEPT_STREAM_QOS, TRANSIENT_LOCAL_QOS, AbraceLifecycleNode, Parameter
+from abrace_core.node.conventions import clearing
 from abrace_core.safety.command_guard import CommandGuard
 from abrace_core.safety.sample_watch import LONGEST_GAP, SampleWatch
 from abrace_core.wire import BraceCommands, Responses
@@ -40,6 +41,7 @@ class BraceCommander(AbraceLifecycleNode):
 
     def __init__(self, name: str, table: Sequence[Parameter]) -> None:
         super().__init__(name, [*table, RATE_LIMIT])
+        self.remedy = clearing(self)
 
     def create_topics(self, sample_period: float, force_limit: Sequence[float], longest_gap: int = LONGEST_GAP) -> None:
         """Create the topics, the service and their command guard; the subclass's `configure` calls it.
@@ -110,6 +112,7 @@ class BraceCommander(AbraceLifecycleNode):
         self.latency.add(time.perf_counter_ns() - begin, time.time_ns() - stamp)
         if wanted is not None:
             self.acted(force)
+        self.report_fault(self.fault)
 
     def on_emergency_stop(self, message: Bool) -> None:
         """The emergency stop is pressed or released."""
@@ -117,6 +120,7 @@ class BraceCommander(AbraceLifecycleNode):
         if self.stop_pressed:
             self.stop_latched = True
             self.guard.fault(EMERGENCY_STOP)
+            self.report_fault(self.fault)
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Clear the latched fault; the next sample is a first one."""
@@ -130,10 +134,17 @@ class BraceCommander(AbraceLifecycleNode):
             self.stop_latched = False
             self.guard.clear()
             self.watch.sequence = -1
+            self.report_fault(self.fault)
         return response
 
+    @property
+    def fault(self) -> str | None:
+        """The latched fault, if any; to be deactivated is none."""
+        reason = self.guard.fault_reason
+        return None if reason == DEACTIVATED else reason
+
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `diagnostics`."""
+        """State for `/diagnostics`."""
         if not self.configured:
             return None, "not configured", {}
         values: dict[str, object] = {
@@ -143,7 +154,6 @@ class BraceCommander(AbraceLifecycleNode):
             "rate_limits": self.guard.rate_limits,
             **self.latency.report(),
         }
-        fault = self.guard.fault_reason
-        if fault == DEACTIVATED:
+        if self.guard.fault_reason == DEACTIVATED:
             return None, DEACTIVATED, values
-        return fault, "running" if self.active else "not active", values
+        return self.fault, "running" if self.active else "not active", values

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 import re
-import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from types import FrameType
+from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -27,6 +29,9 @@ RCLError = rclpy_implementation.RCLError
 
 ACKNOWLEDGEMENT_TIMEOUT = Duration(seconds=0.5)
 """How long a node that ends waits until its subscribers have what it published."""
+
+DIAGNOSTICS = "/diagnostics"
+"""Where monitors look for every node's state; absolute, so that they find it whatever the rig's namespace is."""
 
 DISPLAY_PERIOD = 0.02
 """Seconds of wall time between messages for viewers."""
@@ -50,6 +55,12 @@ def rcl_message(error: Exception) -> str:
     return re.sub(r", at \S+:\d+", "", " ".join(str(error).split()))
 
 
+def clearing(node: Node) -> str:
+    """What a person does about a latched fault of a node that has the service `~/clear_fault`."""
+    service = node.resolve_service_name("~/clear_fault")
+    return f"remove its cause, then: ros2 service call {service} std_srvs/srv/Trigger"
+
+
 class AbraceNode(Node):
     """A node with abrace's conventions: checked parameters, diagnostics, an exit code.
 
@@ -59,37 +70,64 @@ class AbraceNode(Node):
         The node's name.
     table
         Its parameters; their values are attributes of `parameters`.
+    context
+        Of rclpy; None: the process's.
     """
 
     due: float | None = None
     """When `tick` is to be called [s, monotonic]; None: not at all."""
     exit_code: int | None = None
     """Of the process, once the node has finished."""
+    reported_fault: str | None = None
+    """The fault that was last logged and published."""
+    remedy = ""
+    """What a person does about the node's faults, for the log."""
 
-    def __init__(self, name: str, table: Sequence[Parameter]) -> None:
-        Node.__init__(self, name)
+    def __init__(self, name: str, table: Sequence[Parameter], context: Context | None = None) -> None:
+        Node.__init__(self, name, context=context)
         self.parameters = declare(self, table)
         self._live = {parameter.name: parameter for parameter in table if parameter.live}
+        self._changes: dict[str, tuple[Any, Callable[[], None]]] = {}
+        self.add_pre_set_parameters_callback(self._typed)
         self.add_on_set_parameters_callback(self._on_set_parameters)
+        self.add_post_set_parameters_callback(self._on_parameters_set)
         self.ended = Future()
         self._endpoint_counts: list[tuple[str, Callable[[], int]]] = []
         self._publishers_of_streams: list[Publisher] = []
-        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self.create_timer(1.0, self.publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        # rclpy looks up the caller of each log message; the first look goes through all modules for 20 to 50 ms, which
+        # a fault must not cost in the loop
+        inspect.getframeinfo(cast("FrameType", inspect.currentframe()))
+
+    def _typed(self, given: list[RosParameter]) -> list[RosParameter]:
+        return [self._live[one.name].typed(one) if one.name in self._live else one for one in given]
 
     def _on_set_parameters(self, given: list[RosParameter]) -> SetParametersResult:
+        """Check all; nothing is changed before all have been accepted."""
+        self._changes = {}
         try:
             for parameter in given:
                 if parameter.name in self._live:
                     value = self._live[parameter.name].check(parameter)
-                    self.parameter_changed(parameter.name, value)
-                    setattr(self.parameters, parameter.name, value)
+                    self._changes[parameter.name] = value, self.prepare_change(parameter.name, value)
         except AbraceError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def parameter_changed(self, name: str, value: Any) -> None:
-        """Make use of a live parameter's new `value`, or refuse it with an AbraceError."""
+    def _on_parameters_set(self, given: list[RosParameter]) -> None:
+        """Make use of what has been accepted."""
+        for name, (value, change) in self._changes.items():
+            setattr(self.parameters, name, value)
+            change()
+        self._changes = {}
+
+    def prepare_change(self, name: str, value: Any) -> Callable[[], None]:
+        """Check a live parameter's new `value`, or refuse it with an AbraceError; returns what makes use of it.
+
+        That is called once all parameters that are set together have been accepted; until then nothing may change.
+        """
+        return lambda: None
 
     def publish_on(self, message_type: type, topic: str, qos: QoSProfile) -> Publisher:
         """Create a publisher whose number of subscribers is in the diagnostics, and that is flushed at the end."""
@@ -117,28 +155,45 @@ class AbraceNode(Node):
         return None, "running", {}
 
     def publish_diagnostics(self) -> None:
-        """Publish the node's state on `diagnostics`."""
+        """Publish the node's state on `/diagnostics`, under its full name, and log a fault that has come or gone."""
         fault, message, values = self.diagnose()
+        if fault != self.reported_fault:
+            self._log_fault(fault)
         values.update((name, count()) for name, count in self._endpoint_counts)
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if fault else DiagnosticStatus.OK,
             name=f"{self.get_fully_qualified_name().lstrip('/')}: state",
             message=f"fault: {fault}" if fault else message,
-            hardware_id=self.get_name(),
+            hardware_id=self.get_namespace(),
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
+    def report_fault(self, fault: str | None) -> None:
+        """Publish and log at once what `diagnose` will call the fault, if it has come or gone since the last time."""
+        if fault != self.reported_fault:
+            self.publish_diagnostics()
+
+    def _log_fault(self, fault: str | None) -> None:
+        if fault:
+            self.get_logger().error(f"fault: {fault}{self.remedy and '; '}{self.remedy}")
+        else:
+            self.get_logger().info(f"fault cleared: {self.reported_fault}")
+        self.reported_fault = fault
+
     def tick(self) -> None:
         """Override; called when `due` has passed."""
 
     def finish(self, exit_code: int, message: str) -> None:
-        """End the process after this callback."""
+        """End the process after this callback; `message` is its result on standard output, or logged as an error."""
         self.exit_code = exit_code
         self.ended.set_result(None)
-        print(f"{self.get_name()}: {message}", file=sys.stderr if exit_code else sys.stdout, flush=True)
+        if exit_code:
+            self.get_logger().error(message)
+        else:
+            print(f"{self.get_name()}: {message}", flush=True)
 
     def close(self) -> None:
         """Override to close files before the node is destroyed."""

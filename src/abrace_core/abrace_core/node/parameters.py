@@ -28,8 +28,6 @@ _ARRAY_TYPES = {
     float: RosParameter.Type.DOUBLE_ARRAY,
     str: RosParameter.Type.STRING_ARRAY,
 }
-_EMPTY_LISTS = (RosParameter.Type.BYTE_ARRAY, RosParameter.Type.NOT_SET)
-"""ROS types of an empty list."""
 _EXAMPLES = {bool: "true", int: "3", float: "3.0", str: "text"}
 
 
@@ -53,8 +51,10 @@ class Parameter:
         Type of an array's elements, for arrays that are empty by default.
     required
         Whether an empty value is refused.
+    source
+        How a required parameter is given, where not by `-p`.
     live
-        Whether it may be changed while the node runs; `AbraceNode.parameter_changed` then receives the new value.
+        Whether it may be changed while the node runs; see `AbraceNode.prepare_change`.
     """
 
     name: str
@@ -65,6 +65,7 @@ class Parameter:
     choices: tuple[str, ...] = ()
     element: type | None = None
     required: bool = False
+    source: str = ""
     live: bool = False
 
     @property
@@ -75,7 +76,7 @@ class Parameter:
 
     @property
     def _may_be_empty(self) -> bool:
-        return isinstance(self.default, list) and (self.default == [] or self._element is str)
+        return not self.required and (self._element is str or self.default == [])
 
     @property
     def ros_type(self) -> RosParameter.Type:
@@ -104,8 +105,7 @@ class Parameter:
             description=self.description,
             read_only=not self.live,
             additional_constraints=self.expected(),
-            # the ROS type of an empty list is that of bytes; `check` checks the type of later values
-            dynamic_typing=self.default == [],
+            type=self.ros_type.value,
         )
         low = self.minimum if self.minimum is not None else -sys.float_info.max
         high = self.maximum if self.maximum is not None else sys.float_info.max
@@ -117,6 +117,27 @@ class Parameter:
                 descriptor.integer_range = [bounds]
         return descriptor
 
+    def missing(self) -> AbraceError:
+        """The error to raise when a required parameter is not given."""
+        example = _EXAMPLES[self._element] if not isinstance(self.default, list) else f"[{_EXAMPLES[self._element]}]"
+        source = self.source or f"-p {self.name}:={example}: {self.description}"
+        return AbraceError(f"parameter {self.name}: not given, expected {source}")
+
+    def typed(self, given: RosParameter) -> RosParameter:
+        """`given` with the parameter's own type: a single value as a list of one, an empty list in any spelling.
+
+        `-p x:=[]` comes without a type, `ros2 param set NODE x []` as booleans, a list from Python as bytes; where a
+        tool can't pass an empty list, `['']` is one.
+        """
+        if not isinstance(self.default, list):
+            return given
+        value = list(given.value) if isinstance(given.value, (tuple, array)) else given.value
+        if value is None or (isinstance(value, (str, list)) and all(entry == "" for entry in value)):
+            return RosParameter(self.name, self.ros_type, [])
+        if given.type_ == _TYPES[self._element]:
+            return RosParameter(self.name, self.ros_type, [value])
+        return given
+
     def check(self, given: RosParameter) -> Any:
         """The value, if it is valid; a single value for an array is a list of one.
 
@@ -125,18 +146,15 @@ class Parameter:
         AbraceError
             If it has another type or is out of range.
         """
-        value, fits = given.value, given.type_ == self.ros_type
-        if isinstance(self.default, list) and given.type_ == _TYPES[self._element]:
-            value, fits = [value], True
-        if self._may_be_empty and not value and given.type_ in _EMPTY_LISTS:
-            value, fits = [], True
-        if not fits or not self.holds(value):
+        typed = self.typed(given)
+        value = list(typed.value) if isinstance(typed.value, (tuple, array)) else typed.value
+        if typed.type_ != self.ros_type or not self.holds(value):
             raise AbraceError(f"parameter {self.name}: {given.value!r}, expected {self.expected()}")
-        return list(value) if isinstance(value, (list, tuple, array)) else value
+        return value
 
     def holds(self, value: Any) -> bool:
         """Whether a value of the right type is in range."""
-        if self.required and not value:
+        if value in ("", []) and not self._may_be_empty:
             return False
         values = value if isinstance(self.default, list) else [value]
         if self._element is str:
@@ -162,11 +180,22 @@ def declare(node: Node, table: Sequence[Parameter]) -> SimpleNamespace:
             names = ", ".join(sorted(parameter.name for parameter in table))
             raise AbraceError(f"parameter {name}: unknown, {node.get_name()} has {names}")
     for parameter in table:
+        if parameter.required and not parameter.default and parameter.name not in given:
+            raise parameter.missing()
         value = parameter.check(given.get(parameter.name) or RosParameter(parameter.name, value=parameter.default))
-        ros_value = RosParameter(parameter.name, parameter.ros_type, value).value
         try:
-            node.declare_parameter(parameter.name, ros_value, parameter.descriptor(), ignore_override=True)
+            _declare(node, parameter, value)
         except InvalidParameterException as error:
             raise AbraceError(f"parameter {parameter.name}: {value!r}, expected {parameter.expected()}") from error
         setattr(values, parameter.name, value)
     return values
+
+
+def _declare(node: Node, parameter: Parameter, value: Any) -> None:
+    """Declare one parameter, with its own type even where it is an empty list, which rclpy takes for one of bytes."""
+    if value != []:
+        node.declare_parameter(parameter.name, value, parameter.descriptor(), ignore_override=True)
+        return
+    node.declare_parameter(parameter.name, value, ParameterDescriptor(dynamic_typing=True), ignore_override=True)
+    typed = RosParameter(parameter.name, parameter.ros_type, value)
+    node.set_descriptor(parameter.name, parameter.descriptor(), typed.get_parameter_value())

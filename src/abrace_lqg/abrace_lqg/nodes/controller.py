@@ -5,7 +5,8 @@ ros2 run abrace_lqg controller --ros-args --params-file lqg3.yaml
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -17,25 +18,41 @@ from abrace_core.safety.sample_watch import LONGEST_GAP
 from abrace_core.signals import command_names, response_names
 from abrace_lqg.active_controller import ActiveController
 
+FILE = "--params-file FILE, the controller file (YAML) that `design` wrote"
+
 PARAMETERS = [
-    Parameter("name", "", "of the controller", required=True),
+    Parameter("name", "", "of the controller", required=True, source=FILE),
     Parameter("model", "", "model that it was designed with"),
     Parameter("weights", "", "weights that it was designed with"),
     Parameter("margins", "", "predicted stability margins"),
     Parameter("sample_period", 0.002, "s, of the law and the rig", minimum=1e-6),
-    Parameter("measured", [], "names of the measured quantities, the law's inputs", element=str, required=True),
-    Parameter("commands", [], "names of the commands, the law's outputs", element=str, required=True),
-    Parameter("states", 1, "number of states", minimum=1),
-    Parameter("force_limit", [], "N, of one brace of each group", element=float, minimum=1.0, required=True),
-    Parameter("a_d", [], "A_d of Eq. (13), row by row", element=float, required=True),
-    Parameter("b_d", [], "B_d of Eq. (13), row by row", element=float, required=True),
-    Parameter("c_d", [], "C_d of Eq. (13), row by row", element=float, required=True),
-    Parameter("d_d", [], "D_d of Eq. (13), row by row", element=float, required=True),
     Parameter(
-        "g_d", [], "G_d: state correction per newton of applied minus law's command", element=float, required=True
+        "measured", [], "names of the measured quantities, the law's inputs", element=str, required=True, source=FILE
+    ),
+    Parameter("commands", [], "names of the commands, the law's outputs", element=str, required=True, source=FILE),
+    Parameter("states", 1, "number of states", minimum=1),
+    Parameter(
+        "force_limit", [], "N, of one brace of each group", element=float, minimum=1.0, required=True, source=FILE
+    ),
+    Parameter("a_d", [], "A_d of Eq. (13), row by row", element=float, required=True, source=FILE),
+    Parameter("b_d", [], "B_d of Eq. (13), row by row", element=float, required=True, source=FILE),
+    Parameter("c_d", [], "C_d of Eq. (13), row by row", element=float, required=True, source=FILE),
+    Parameter("d_d", [], "D_d of Eq. (13), row by row", element=float, required=True, source=FILE),
+    Parameter(
+        "g_d",
+        [],
+        "G_d: state correction per newton of applied minus law's command",
+        element=float,
+        required=True,
+        source=FILE,
     ),
     Parameter(
-        "p_d", [], "P_d: prediction of measured values from states and applied command", element=float, required=True
+        "p_d",
+        [],
+        "P_d: prediction of measured values from states and applied command",
+        element=float,
+        required=True,
+        source=FILE,
     ),
     Parameter("ramp_time", 0.5, "s, of the fade-in of the force, and of a change to the next controller", minimum=0.0),
     Parameter(
@@ -61,13 +78,17 @@ class Controller(BraceCommander):
         self.active_controller = ActiveController(controller, given.ramp_time)
         self.create_topics(controller.law.sample_period, controller.force_limit.tolist(), given.max_lost)
 
-    def parameter_changed(self, name: str, value: Any) -> None:
-        """Change over to the controller of the file `next`."""
+    def prepare_change(self, name: str, value: str) -> Callable[[], None]:
+        """The change over to the controller of the file `next`; an empty one that was empty before changes nothing."""
+        if not value and not self.parameters.next:
+            return super().prepare_change(name, value)
         if not self.active:
             raise AbraceError(f"parameter {name}: {value}: the node is not active, expected a controller in use")
         if not value:
             raise AbraceError(f"parameter {name}: empty, expected a controller file")
-        self.active_controller.change_to(load_controller(value))
+        controller = load_controller(value)
+        self.active_controller.check_change(controller)
+        return partial(self.active_controller.change_to, controller)
 
     def restart(self, sequence: int, floors: int, groups: int) -> None:
         """Reset the estimate; the force fades in from this sample on."""
@@ -85,7 +106,7 @@ class Controller(BraceCommander):
         self.active_controller.advance(force)
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `diagnostics`, with the innovation of each measured quantity."""
+        """State for `/diagnostics`, with the innovation of each measured quantity."""
         fault, message, values = super().diagnose()
         if self.configured:
             used = self.active_controller

@@ -78,7 +78,7 @@ class Explore(AbraceNode):
         given = self.parameters
         for name in ("model", "simulation_model"):
             if not getattr(given, name):
-                raise AbraceError(f"parameter {name}: '', expected a model file")
+                raise AbraceError(f"parameter {name}: not given, expected -p {name}:=FILE, a model file (JSON)")
         weights_file = find_file(given.weights, "abrace_lqg", "config", ".yaml", "weights")
         weights = load_weights(weights_file)
         if given.measured:
@@ -120,7 +120,7 @@ class Explore(AbraceNode):
         for bag in given.bags:
             recorded = read_run(bag)
             for warning in recorded.facts.get("warnings", []):
-                print(warning, file=sys.stderr, flush=True)
+                self.get_logger().warning(warning)
             found.append(recorded_motion(recorded, given.sample_period))
         return found + [noise_motion(seed, given.noise_duration, band, given.sample_period) for seed in given.noise]
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_plant.rig.model import Rig
+    from abrace_plant.rig.sensors import SensorFault
 
 RAMP_TIME = 0.5
 """Seconds within which a fault brings force and ground motion to zero."""
@@ -118,12 +119,12 @@ class RigLoop:
         """Accept a ground `acceleration` [m/s^2] for the sample after `sequence`."""
         self._ground.receive(sequence, [acceleration], self.sequence)
 
-    def set_sensor_faults(self, faults: Sequence[str]) -> None:
-        """Replace the sensor faults; times count from sample 0.
+    def sensor_faults(self, texts: Sequence[str]) -> tuple[SensorFault, ...]:
+        """Sensor faults for `set_sensor_faults`; their times count from sample 0.
 
         Parameters
         ----------
-        faults
+        texts
             Each as for `parse_fault`, such as `["a2=stuck", "x3=noise@20.0"]`.
 
         Raises
@@ -131,7 +132,11 @@ class RigLoop:
         AbraceError
             As in `parse_fault`.
         """
-        self._measurement.faults = tuple(parse_fault(text, self._channels, self._period) for text in faults)
+        return tuple(parse_fault(text, self._channels, self._period) for text in texts)
+
+    def set_sensor_faults(self, faults: tuple[SensorFault, ...]) -> None:
+        """Replace the sensor faults; none: every channel is well."""
+        self._measurement.faults = faults
 
     def answered(self, name: str) -> bool:
         """Whether the last sample has been answered on the topic `name`: `brace_command` or `ground_motion`."""

@@ -58,6 +58,8 @@ class PlayServer(ActionServer):
 class GroundMotion(AbraceLifecycleNode):
     """Answers each sample with the ground acceleration of the next."""
 
+    remedy = "the table comes to rest; release the button to play again"
+
     def __init__(self) -> None:
         super().__init__("ground_motion", PARAMETERS)
         self.playback: Playback | None = None
@@ -131,13 +133,14 @@ class GroundMotion(AbraceLifecycleNode):
         try:
             stamp, sequence, _ = self.responses.unpack(payload)
         except AbraceError as error:
-            self.get_logger().error(str(error))
+            self.get_logger().error(str(error), throttle_duration_sec=1.0)
             self.come_to_rest()
             return
         if self.watch.update(sequence, stamp) < 0:
             self.restart(sequence)
         playback = self.playback
-        if self.watch.problem and playback is not None and playback.played:
+        if self.watch.problem and playback is not None and playback.played and not playback.cancelled:
+            self.get_logger().error(f"the table comes to rest: {self.watch.problem}")
             playback.cancel()
         acceleration = playback.answer(sequence) if playback is not None else 0.0
         self.publisher.publish(pack_acceleration(stamp, acceleration))
@@ -188,6 +191,7 @@ class GroundMotion(AbraceLifecycleNode):
             motion = self.motion(request.record, request.peak_acceleration, request.duration)
         except AbraceError as error:
             message = str(error)
+            self.get_logger().error(f"play_ground_motion refused: {message}")
             self.server.notify_execute(goal, lambda goal: self.refuse(goal, message))
             return
         self.playback = Playback(motion, self.parameters.sample_rate)
@@ -224,12 +228,18 @@ class GroundMotion(AbraceLifecycleNode):
         self.stopped = message.data
         if self.stopped:
             self.come_to_rest()
+        self.report_fault(self.fault)
+
+    @property
+    def fault(self) -> str | None:
+        """The fault, if there is one: the emergency stop, while it is pressed."""
+        return "emergency stop" if self.stopped else None
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `diagnostics`."""
+        """State for `/diagnostics`."""
         playback = self.playback
-        if self.stopped:
-            return "emergency stop", "", {}
+        if self.fault:
+            return self.fault, "", {}
         values: dict[str, object] = {"lost": self.watch.missing} if self.active else {}
         if playback is None or playback.done:
             return None, "ready" if self.active else "not active", values

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from functools import partial
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import AccelStamped
@@ -13,7 +15,7 @@ from std_srvs.srv import Trigger
 
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceLifecycleNode, Parameter, find_file, run
-from abrace_core.node.conventions import DISPLAY_PERIOD, KEPT_STREAM_QOS, STREAM_QOS, TRANSIENT_LOCAL_QOS
+from abrace_core.node.conventions import DISPLAY_PERIOD, KEPT_STREAM_QOS, STREAM_QOS, TRANSIENT_LOCAL_QOS, clearing
 from abrace_core.wire import BraceCommands, Responses, unpack_acceleration
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_plant.live.loop import COMMAND, GROUND, RigLoop
@@ -54,6 +56,7 @@ class Plant(AbraceLifecycleNode):
 
     def __init__(self) -> None:
         super().__init__("plant", PARAMETERS)
+        self.remedy = clearing(self)
 
     def configure(self) -> None:
         """Load the rig and create the topics."""
@@ -65,7 +68,7 @@ class Plant(AbraceLifecycleNode):
         self.joint_states = self.create_publisher(JointState, "joint_states", 10)
         self.description = self.create_publisher(String, "robot_description", TRANSIENT_LOCAL_QOS)
         self.description.publish(String(data=urdf(self.rig)))
-        self.clock_publisher = self.create_publisher(Clock, "/clock", 10) if given.lockstep else None
+        self.clock_publisher = self.create_publisher(Clock, "clock", 10) if given.lockstep else None
         self.inputs = {
             COMMAND: self.subscribe_to(BraceCommand, COMMAND, self.on_command, STREAM_QOS, raw=True),
             GROUND: self.subscribe_to(AccelStamped, GROUND, self.on_ground_motion, STREAM_QOS, raw=True),
@@ -80,7 +83,7 @@ class Plant(AbraceLifecycleNode):
         """Reset the rig to rest, before sample 0."""
         given = self.parameters
         self.loop = RigLoop(self.rig, given.seed, given.command_timeout)
-        self.loop.set_sensor_faults(given.sensor_faults)
+        self.loop.set_sensor_faults(self.loop.sensor_faults(given.sensor_faults))
         start = 0 if given.lockstep else self.get_clock().now().nanoseconds
         self.schedule = Schedule(self.rig.sample_rate, start, time.monotonic(), given.duration)
         self.next_display = 0.0
@@ -116,13 +119,14 @@ class Plant(AbraceLifecycleNode):
                 f"{self.parameters.lockstep_timeout:g} s (lockstep_timeout)",
             )
 
-    def parameter_changed(self, name: str, value: list[str]) -> None:
-        """Apply new sensor faults from the next sample on."""
-        if self.configured:
-            self.loop.set_sensor_faults(value)
+    def prepare_change(self, name: str, value: list[str]) -> Callable[[], None]:
+        """New sensor faults act from the next sample on; before the rig is configured they are kept for it."""
+        if not self.configured:
+            return super().prepare_change(name, value)
+        return partial(self.loop.set_sensor_faults, self.loop.sensor_faults(value))
 
     def take_sample(self) -> None:
-        """Step the rig, publish its response, set when the next sample is due."""
+        """Step the rig, publish its response, report a fault that is new, set when the next sample is due."""
         sample = self.loop.sample()
         if sample.sequence == 0:
             self.began = time.monotonic()
@@ -139,6 +143,7 @@ class Plant(AbraceLifecycleNode):
             ground_acceleration=reading[-1],
         )
         self.response.publish(payload)
+        self.report_fault(self.loop.fault_reason)
         now = time.monotonic()
         if now >= self.next_display:
             self.next_display = now + DISPLAY_PERIOD
@@ -194,6 +199,7 @@ class Plant(AbraceLifecycleNode):
         self.pressed = message.data
         if self.pressed:
             self.loop.fault("emergency stop")
+            self.report_fault(self.loop.fault_reason)
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Clear the latched fault."""
@@ -202,12 +208,13 @@ class Plant(AbraceLifecycleNode):
         if response.success:
             response.message = f"cleared: {reason}"
             self.loop.clear_faults()
+            self.report_fault(self.loop.fault_reason)
         else:
             response.message = "emergency stop is still pressed" if reason else "no fault"
         return response
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `diagnostics`."""
+        """State for `/diagnostics`."""
         if not self.configured:
             return None, "not configured", {}
         values: dict[str, object] = {

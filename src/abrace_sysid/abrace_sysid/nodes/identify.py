@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 import time
 from pathlib import Path
 from typing import Any, get_args
@@ -72,7 +71,7 @@ class Identify(AbraceNode):
         runs = {bag: read_run(bag, whole=False) for bag in dict.fromkeys((*given.table, *given.command))}
         for recorded in runs.values():
             for warning in recorded.facts.get("warnings", []):
-                print(warning, file=sys.stderr, flush=True)
+                self.get_logger().warning(warning)
         options = IdentificationOptions(
             transfer_function=TransferFunctionOptions(**{name: getattr(given, name) for name in TRANSFER_FUNCTION}),
             fit=given.fit,
@@ -84,7 +83,7 @@ class Identify(AbraceNode):
         )
         found = identify([runs[bag] for bag in given.table], [runs[bag] for bag in given.command], options, progress)
         for warning in found.warnings:
-            print(warning, file=sys.stderr, flush=True)
+            self.get_logger().warning(warning)
         output = Path(given.output)
         for name, model in (("model", found.model), ("superposed", found.superposed), ("reduced", found.reduced)):
             save_model(model, output / f"{name}.json")

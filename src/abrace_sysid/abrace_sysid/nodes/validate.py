@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +44,7 @@ class Validate(AbraceNode):
         uncontrolled = read_run(given.uncontrolled) if given.uncontrolled else None
         for recorded in [test] + ([uncontrolled] if uncontrolled else []):
             for warning in recorded.facts.get("warnings", []):
-                print(warning, file=sys.stderr, flush=True)
+                self.get_logger().warning(warning)
         law, limit, correction = None, np.full(test.groups, np.inf), None
         if given.controller:
             controller = load_controller(given.controller)

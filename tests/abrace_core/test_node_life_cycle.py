@@ -1,0 +1,99 @@
+"""What a life cycle node answers when one of its methods fails: the truth, and it is at rest."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import domain_coordinator
+import pytest
+import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from std_msgs.msg import Bool
+
+from abrace_core.errors import AbraceError
+from abrace_core.node import AbraceLifecycleNode
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+class Shaker(AbraceLifecycleNode):
+    """A node whose method `failing` raises `error`."""
+
+    failing = ""
+    error: Exception = AbraceError("the pump does not stop, expected 0 bar")
+
+    def __init__(self, context: rclpy.Context) -> None:
+        super().__init__("shaker", [], context=context)
+
+    def fail(self, method: str) -> None:
+        if method == self.failing:
+            raise self.error
+
+    def configure(self) -> None:
+        self.create_publisher(Bool, "moving", 1)
+        self.fail("configure")
+
+    def activate(self) -> None:
+        self.due = 1.0
+        self.fail("activate")
+
+    def deactivate(self) -> None:
+        self.fail("deactivate")
+        self.due = None
+
+    def cleanup(self) -> None:
+        self.fail("cleanup")
+
+    def go(self, label: str) -> bool:
+        """Ask for a transition as its service does; whether it went."""
+        request = ChangeState.Request(transition=Transition(label=label))
+        return self._on_change_state(request, ChangeState.Response()).success
+
+    @property
+    def state(self) -> str:
+        return self._state_machine.current_state[1]
+
+
+@pytest.fixture
+def shaker() -> Iterator[Shaker]:
+    with domain_coordinator.domain_id() as domain, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        context = rclpy.Context()
+        context.init(args=[], domain_id=domain)
+        node = Shaker(context)
+        yield node
+        node.destroy_node()
+        context.try_shutdown()
+
+
+@pytest.mark.parametrize("error", [AbraceError("the pump does not stop"), ZeroDivisionError("in our code")])
+@pytest.mark.parametrize(
+    ("failing", "path", "state"),
+    [
+        ("deactivate", ["configure", "activate", "deactivate"], "unconfigured"),
+        ("cleanup", ["configure", "cleanup"], "unconfigured"),
+        ("deactivate", ["configure", "activate", "shutdown"], "finalized"),
+        ("configure", ["configure"], "unconfigured"),
+    ],
+)
+def test_a_transition_that_fails_is_answered_so_and_leaves_the_node_at_rest(shaker, failing, path, state, error):
+    shaker.failing, shaker.error = failing, error
+    endpoints = len(list(shaker.publishers))
+    assert [shaker.go(label) for label in path] == [True] * (len(path) - 1) + [False]
+    assert shaker.state == state
+    assert (shaker.active, shaker.configured, shaker.due) == (False, False, None)
+    assert len(list(shaker.publishers)) == endpoints, "what configure made is gone"
+    if state == "unconfigured":
+        shaker.failing = ""
+        assert shaker.go("configure")
+        assert shaker.go("activate")
+        assert len(list(shaker.publishers)) == endpoints + 1
+
+
+def test_an_activation_that_is_refused_leaves_the_node_inactive(shaker):
+    shaker.failing = "activate"
+    assert shaker.go("configure")
+    assert not shaker.go("activate")
+    assert (shaker.state, shaker.active, shaker.configured, shaker.due) == ("inactive", False, True, None)
