@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import ctrlsys
 import numpy as np
 from scipy import signal
 
@@ -48,6 +47,8 @@ def n4sid_poles(run: Run, input_name: str, order: int) -> NDArray[np.complex128]
     AbraceError
         If SLICOT refuses the data or warns that they do not tell the model.
     """
+    import ctrlsys  # needs NumPy 2
+
     excitation = held_input(run, input_name)
     factor = _decimation(excitation)
     u = signal.decimate(excitation - excitation.mean(), factor, ftype="fir")[:, None]
