@@ -25,9 +25,10 @@ mkdir -p "$folder/usr/lib/python$version/site-packages" "$folder/usr/include"
 cp "$python" "$folder/usr/bin/python$version"
 ln -s "python$version" "$folder/usr/bin/python3"
 ln -s "$headers" "$folder/usr/include/python$version"
-for each in "$library"/*; do
+for each in "$library"/* "${library%/*}"/libpython"$version"*; do
   case ${each##*/} in
     site-packages | dist-packages | EXTERNALLY-MANAGED) ;;
+    libpython*) [ ! -e "$each" ] || ln -s "$each" "$folder/usr/lib/" ;;
     *) ln -s "$each" "$folder/usr/lib/python$version/" ;;
   esac
 done
