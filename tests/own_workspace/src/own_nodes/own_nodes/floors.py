@@ -11,9 +11,10 @@ from abrace_plant.rig.file import load_rig
 
 
 def main() -> None:
-    with rclpy.init(args=sys.argv):
-        node = rclpy.create_node("floors")
-        node.create_subscription(Response, "response", lambda _: None, 10)
-        rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
-        node.get_logger().info(f"{len(read_run(sys.argv[1]).sequence)} samples, {rig.floors} floors")
-        node.destroy_node()
+    rclpy.init()
+    node = rclpy.create_node("floors")
+    node.create_subscription(Response, "response", lambda _: None, 10)
+    rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
+    node.get_logger().info(f"{len(read_run(sys.argv[1]).sequence)} samples, {rig.floors} floors")
+    node.destroy_node()
+    rclpy.shutdown()
