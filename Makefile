@@ -3,59 +3,82 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -eo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint verify bench soak clean
+.PHONY: help setup same-ros tools demo lint test test-libraries test-sourced verify bench soak clean
 
 ENVIRONMENT := source ros2_ws/setup.bash
+TEST_LIBRARIES := python -m pytest --numprocesses auto --dist loadscope --ignore tests/graph
 PACKAGES := abrace_core abrace_bags abrace_plant abrace_sysid abrace_lqg abrace abrace_bringup
 # what a build copies or generates; Python modules are linked, edits to them need no build
 BUILT_FROM := $(shell find src -name package.xml -o -name 'setup.*' -o -name CMakeLists.txt -o -name '*.msg' \
   -o -name '*.action' -o -path '*/config/*.yaml' -o -path '*/launch/*.py' -o -path '*/campaigns/*.yaml' -o -path '*/scripts/abrace')
 
 help:  ## this list
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/'
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/\1\t\2/' |
+	  while IFS=$$'\t' read -r name text; do printf '  make %-15s %s\n' "$$name" "$$text"; done
 
-setup: ros2_ws/install/.built  ## install what abrace needs into .venv and build the workspace
+# what only tests need must not keep anyone from running: where versions are not pinned (ROS 2 sourced) it comes with the tests
+setup: ros2_ws/install/.built $(if $(ROS_DISTRO),,.venv/.develop)  ## install what abrace needs into .venv and build the workspace
 
-.venv/.installed: requirements/install.sh requirements/run.txt requirements/develop.txt requirements/ros.txt requirements/lock.txt requirements/system.txt
+tools: setup .venv/.develop
+
+same-ros:
+	@requirements/same_ros.sh
+
+.venv/.installed: requirements/install.sh $(addprefix requirements/,run.txt build.txt ros.txt lock.txt system.txt lock_beside.sh) | same-ros
 	@requirements/install.sh
 
-ros2_ws/install/.built: .venv/.installed $(BUILT_FROM)
+.venv/.develop: .venv/.installed requirements/develop.txt requirements/numpy2.txt
+	@requirements/install.sh tests
+
+ros2_ws/install/.built: .venv/.installed $(BUILT_FROM) | same-ros
 	@source .venv/bin/activate
 	if [ -d .venv/share/ament_index ]; then
 	  export AMENT_PREFIX_PATH="$$PWD/.venv" CMAKE_PREFIX_PATH="$$PWD/.venv"
 	fi
 	cd ros2_ws
 	echo "abrace: building the workspace"
-	colcon --log-level error build --symlink-install --event-handlers console_cohesion- console_start_end- desktop_notification-
+	python -m colcon --log-level error build --symlink-install --event-handlers console_cohesion- console_start_end- desktop_notification-
 	touch install/.built
 
 demo: setup  ## the paper, live: tests, model, controller, earthquake, table (results/demo)
 	@$(ENVIRONMENT)
 	abrace demo
 
-lint: setup  ## ruff and mypy
+lint: tools  ## ruff and mypy (its types are those of NumPy 2: not where ROS 2 is sourced)
 	@$(ENVIRONMENT)
 	ruff check .
 	ruff format --check .
-	mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) $(wildcard src/*/scripts/*.py) docs/write_nodes.py benchmarks tests/support
+	[ -n "$(ROS_DISTRO)" ] || mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) $(wildcard src/*/scripts/*.py) docs/write_nodes.py benchmarks tests/support
 
 test: lint  ## lint and all tests: those of the libraries on all cores, then those of the graph one by one
 	@$(ENVIRONMENT)
 	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
-	python -m pytest --numprocesses auto --dist loadscope --ignore tests/graph
+	$(TEST_LIBRARIES)
 	python -m pytest tests/graph
 
-verify: setup  ## accuracy claims, measured: results/verify.json
+test-libraries: tools
+	@$(ENVIRONMENT)
+	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+	$(TEST_LIBRARIES)
+
+# a copy of the tracked files is set up and tested there: .venv and the workspace of this folder stay as they are
+test-sourced: .sourced/.made  ## set-up, demo and tests of the libraries where ROS 2 is sourced: a machine made in .sourced
+	@.ci/sourced
+
+.sourced/.made: $(addprefix requirements/,ubuntu.sh ubuntu.txt ros.txt lock.txt lock_beside.sh)
+	@requirements/ubuntu.sh .sourced
+
+verify: tools  ## accuracy claims, measured: results/verify.json
 	@$(ENVIRONMENT)
 	python benchmarks/verify.py $(if $(RECORD),--record $(RECORD))
 
-bench: setup  ## speed claims beside their peers: results/bench.json
+bench: tools  ## speed claims beside their peers: results/bench.json
 	@$(ENVIRONMENT)
 	python benchmarks/bench.py
 
-soak: setup  ## long runs of the logger, 12 minutes: results/soak.json
+soak: tools  ## long runs of the logger, 12 minutes: results/soak.json
 	@$(ENVIRONMENT)
 	python benchmarks/soak.py
 
 clean:  ## remove what was built and made (not bags)
-	@rm -rf .venv ros2_ws/build ros2_ws/install ros2_ws/log results
+	@rm -rf .venv .sourced ros2_ws/build ros2_ws/install ros2_ws/log results

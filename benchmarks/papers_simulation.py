@@ -24,7 +24,7 @@ from scipy.optimize import least_squares
 from abrace.report.table import Table
 from abrace_core import signals
 from abrace_core.discretization import discretize
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, save_figure
+from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, legend_above, save_figure
 from abrace_core.linear_model import LinearModel, pole_table
 from abrace_core.node import find_file
 from abrace_core.response import (
@@ -344,7 +344,7 @@ def cells_figure(cells: dict[str, Any]) -> Figure:
         axis.set_ylim(0.7, 1.4)
         axis.set_xticks(range(len(cells)), list(cells))
         axis.grid(alpha=0.3, axis="y")
-    figure.legend(*axis.get_legend_handles_labels(), loc="outside upper center", ncols=len(bars))
+    legend_above(figure, axis, len(bars))
     return figure
 
 

@@ -12,6 +12,7 @@ identification  poles, their intervals and prediction against the simulated rig;
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import sys
 from dataclasses import replace
@@ -253,6 +254,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Accuracy claims, measured.")
     parser.add_argument("--record", type=Path, help="a ground motion in addition to El Centro and noise, such as Kobe")
     record = parser.parse_args().record
+    if importlib.util.find_spec("ctrlsys") is None:
+        parser.error("N4SID needs ctrlsys, which needs NumPy 2: make verify runs where no ROS 2 is sourced")
     rig, claims = verify_rig()
     records, of_records = verify_records()
     identification, of_identification, tables = verify_identification()

@@ -1,7 +1,11 @@
 # The environment of abrace: `source ros2_ws/setup.bash`, after `make setup`, with ROS 2 Jazzy installed or without.
 _abrace_workspace="$(builtin cd "$(dirname "${BASH_SOURCE[0]}")" > /dev/null && pwd)"
 _abrace_venv="$(dirname "$_abrace_workspace")/.venv"
-if [ ! -f "$_abrace_workspace/install/local_setup.bash" ] || [ ! -f "$_abrace_venv/bin/activate" ]; then
+if ! "$_abrace_workspace/../requirements/same_ros.sh"; then
+  unset _abrace_workspace _abrace_venv
+  return 1
+fi
+if [ ! -f "$_abrace_workspace/install/.built" ] || [ ! -f "$_abrace_venv/.installed" ]; then
   echo "abrace: not built yet; run 'make setup' first" >&2
   unset _abrace_workspace _abrace_venv
   return 1

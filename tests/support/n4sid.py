@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import ctrlsys
 import numpy as np
 from scipy import signal
 
@@ -49,6 +48,8 @@ def n4sid_poles(run: Run, input_name: str, order: int) -> NDArray[np.complex128]
     AbraceError
         If the input does not excite all block rows, or SLICOT refuses the data.
     """
+    import ctrlsys  # needs NumPy 2
+
     rows = max(BLOCK_ROWS, 2 * order)
     factor, u = _decimated(run.source, input_name, held_input(run, input_name), 2 * rows)
     y = signal.decimate(run.outputs - run.outputs.mean(axis=0), factor, ftype="fir", axis=0)

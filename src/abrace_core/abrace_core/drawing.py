@@ -13,6 +13,7 @@ from abrace_core.files import write_atomically
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MEASURED = "#1b3a6b"
@@ -20,6 +21,16 @@ SIMULATED = "#d1495b"
 REFERENCE = "#8a8a8a"
 RESOLUTION = 160
 """Dots per inch of saved figures."""
+
+
+def legend_above(figure: Figure, axis: Axes, columns: int) -> None:
+    """Legend of an `axis` above all axes of a `figure`, in so many `columns`; the layout is constrained.
+
+    matplotlib's own `loc="outside upper center"` is for 3.7 and newer.
+    """
+    legend = figure.legend(*axis.get_legend_handles_labels(), loc="upper center", ncols=columns, fontsize="small")
+    below = legend.get_window_extent().y0 / figure.bbox.height
+    figure.set_layout_engine("constrained", rect=(0.0, 0.0, 1.0, below))
 
 
 def save_figure(figure: Figure, path: Path | str) -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.integrate import trapezoid
 
 from abrace_plant.records.record import check_record
 
@@ -126,7 +127,7 @@ def intensity(motion: Record) -> Intensity:
         peak_velocity=float(np.abs(velocity).max()),
         peak_displacement=float(np.abs(displacement).max()),
         arias_intensity=float(built_up[-1]),
-        cumulative_absolute_velocity=float(np.trapezoid(size, dx=period)),
+        cumulative_absolute_velocity=float(trapezoid(size, dx=period)),
         significant_from=begin,
         significant_to=end,
     )

@@ -10,7 +10,7 @@ from matplotlib.patches import Ellipse
 from scipy.ndimage import uniform_filter1d
 
 from abrace_core import signals
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
+from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, legend_above
 from abrace_core.linear_model import pole_table
 from abrace_sysid.figures.symbols import symbol
 from abrace_sysid.spectra.frequency_response import sampled_response
@@ -164,7 +164,7 @@ def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Fig
         axes[1, j].set_xlabel("frequency [Hz]")
     axes[0, 0].set_ylabel("residual over rms response [-]")
     axes[1, 0].set_ylabel("residual over standard deviation [-]")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", fontsize="small", ncols=8)
+    legend_above(figure, axes[0, 0], 8)
     for axis in axes.flat:
         axis.grid(alpha=0.3)
     return figure
@@ -203,7 +203,7 @@ def confidence(sets: Mapping[str, Sequence[PoleInterval]]) -> Figure:
         axis.grid(alpha=0.3)
     for axis in axes.flat[len(reference) :]:
         axis.set_axis_off()
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=len(sets))
+    legend_above(figure, axes[0, 0], len(sets))
     return figure
 
 
@@ -247,7 +247,7 @@ def stabilization_diagram(found: Stabilization, reference: list[float] | None = 
     axis.set_xlabel("frequency [Hz]")
     axis.set_ylabel("number of poles")
     axis.set_yticks([poles.order for poles in found.orders][:: max(1, len(found.orders) // 10)])
-    figure.legend(*axis.get_legend_handles_labels(), loc="outside upper center", ncols=len(kinds), fontsize="small")
+    legend_above(figure, axis, len(kinds))
     return figure
 
 
