@@ -53,7 +53,7 @@ bench: setup  ## speed claims beside their peers: results/bench.json
 	@$(ENVIRONMENT)
 	python benchmarks/bench.py
 
-soak: setup  ## long runs of the logger, 12 minutes: results/soak.json
+soak: setup  ## long runs of the logger, ends of nodes and launches, 20 minutes: results/soak.json
 	@$(ENVIRONMENT)
 	python benchmarks/soak.py
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from abrace_bags import read_run
-from abrace_interfaces.msg import Response
+from abrace_interfaces.msg import BraceCommand, Response
 
 pytestmark = pytest.mark.usefixtures("domain")
 
@@ -45,7 +45,7 @@ def test_a_rig_that_runs_elsewhere_is_joined_when_it_is_recorded_and_a_broken_of
     assert np.abs(read_run(bag).ground_acceleration[:3]).max() < 0.002, "recorded from before the motion on"
 
 
-def test_who_is_missing_is_named(graph):
+def test_who_is_missing_and_who_is_too_many_is_named(graph):
     graph.start("plant", autostart=False)
     graph.until(lambda: "plant" in graph.statuses, "the plant")
     graph.start("supervisor", inputs=BOTH, patience=3.0)
@@ -54,3 +54,9 @@ def test_who_is_missing_is_named(graph):
     assert "did not find each other within 3 s" in line
     for node in ("logger", "excitation", "ground_motion"):
         assert f"{node} has 0 of 1" in line
+    assert graph.change_state("plant", "cleanup")
+    for _ in range(2):
+        graph.node.create_publisher(BraceCommand, "brace_command", 10)
+    graph.start("supervisor", name="second", inputs=BOTH)
+    assert graph.ended("second") == 1
+    assert "plant has 2 publishers of brace_command" in graph.output_of("second")[0]

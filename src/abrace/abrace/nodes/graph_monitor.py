@@ -67,7 +67,7 @@ class GraphMonitor:
 
     def __enter__(self) -> Self:
         self._context = rclpy.Context()
-        self._context.init(domain_id=None)
+        self._context.init(args=[])
         rclpy.signals.install_signal_handlers(SignalHandlerOptions.NO)
         self._node = rclpy.create_node(self._name, namespace=self._namespace, context=self._context)
         self._executor = rclpy.executors.SingleThreadedExecutor(context=self._context)
