@@ -27,7 +27,7 @@ NODES: dict[str, tuple[str, dict[str, Any]]] = {
     "controller": ("abrace_lqg", {}),
     "excitation": ("abrace_sysid", {"duration": 60.0}),
     "logger": ("abrace_bags", {}),
-    "supervisor": ("abrace", {"inputs": ["brace_command=controller"], "plant": False}),
+    "supervisor": ("abrace", {"inputs": ["brace_command=nobody"], "plant": False, "patience": 60.0}),
     "characterize": ("abrace_plant", {"output": "characteristics"}),
 }
 """Every kind: real time, life cycle, by the clock and by callbacks, offline."""

@@ -114,6 +114,7 @@ def _robot_state_publisher(values: Mapping[str, Any]) -> Action:
     return Node(
         package="robot_state_publisher",
         executable="robot_state_publisher",
+        exec_name="robot_state_publisher",
         namespace=values["namespace"],
         parameters=[{"robot_description": ParameterValue(description, value_type=str)}],
         # it does not know of ABRACE_END_WITH

@@ -124,7 +124,8 @@ def _test(
 ) -> list[NodeSetup]:
     """Logger, the rig's partners by the topic that they publish, the rig, and the supervisor that begins and ends."""
     plant = values["plant"]
-    files = [*attachments, *(values[name] for name in ("parameters",) if values[name])]
+    rig_file = values["rig"] if values["rig"].endswith(".yaml") else ""
+    files = [file for file in (*attachments, values["parameters"], rig_file) if file]
     supervision = {
         "inputs": [f"{topic}={partner.executable}" for topic, partner in partners.items()],
         "plant": plant,

@@ -11,6 +11,7 @@ import time
 from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceNode, Parameter, run
+from abrace_core.node.brace_commander import RAMP_TIME
 
 STUCK = 30.0
 """Seconds in which a signal does not go on that end a test."""
@@ -49,8 +50,7 @@ class Supervisor(AbraceNode):
             try:
                 self.begin()
                 self.watch()
-                if self.parameters.plant:
-                    self.monitor.deactivate("plant", self.parameters.patience, self.note_faults)
+                self.end()
             except AbraceError as error:
                 self.finish(1, str(error))
                 return
@@ -103,10 +103,21 @@ class Supervisor(AbraceNode):
                     f"{', '.join(waiting)}: the signal has not gone on for {STUCK:g} s, is the rig there?"
                 )
         print(f"supervisor: the signal is over, {self.parameters.free_decay:g} s of free decay follow", flush=True)
-        end = time.monotonic() + self.parameters.free_decay
+        self.spin(self.parameters.free_decay)
+
+    def spin(self, duration: float) -> None:
+        """Let so many seconds pass, and note faults."""
+        end = time.monotonic() + duration
         while time.monotonic() < end:
             self.monitor.spin_once()
             self.note_faults()
+
+    def end(self) -> None:
+        """Deactivate what was activated, the last one first; where that is not the rig, its force goes to zero."""
+        for node in reversed(self.held):
+            self.monitor.deactivate(node, self.parameters.patience, self.note_faults)
+        if not self.parameters.plant:
+            self.spin(2 * RAMP_TIME)
 
 
 def main() -> int:
