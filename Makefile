@@ -76,7 +76,7 @@ bench: tools  ## speed claims beside their peers: results/bench.json
 	@$(ENVIRONMENT)
 	python benchmarks/bench.py
 
-soak: tools  ## long runs of the logger, 12 minutes: results/soak.json
+soak: tools  ## long runs of the logger, ends of nodes and launches, 20 minutes: results/soak.json
 	@$(ENVIRONMENT)
 	python benchmarks/soak.py
 

@@ -1,11 +1,13 @@
-"""Endurance of the logger: `make soak`. Writes results/soak.json and prints a table.
+"""Endurance of the logger and of how nodes end: `make soak`. Writes results/soak.json and prints tables.
 
 graph   10 minutes of the closed loop in real time at 500 Hz (plant, ground motion, controller, logger) while a process
         keeps one core busy: messages on three topics, those of them that were lost, share of a core that the
         logger takes
 flood   the highest rate of one topic at which the logger loses nothing, against a subscription that writes nothing
+ends    200 nodes of all kinds interrupted twice at random moments; where there is `ros2 launch` 50 launches with wrong
+        arguments and 50 that get SIGTERM at random moments: crashes, exit codes, nodes left behind
 
-python benchmarks/soak.py SECONDS    # another duration
+python benchmarks/soak.py SECONDS    # another duration of the first
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from controller_speed import lqg3
+from ends import failures, measure
 from isolation import isolated
 from logger_endurance import LOAD, cpu_seconds, flood_rates, running
 
@@ -115,7 +118,8 @@ def main() -> int:
     with isolated():
         logger = record_graph(duration)
         logger |= flood_rates()
-    write_text("results/soak.json", json.dumps({"logger": logger}, indent=1) + "\n")
+        ends = measure()
+    write_text("results/soak.json", json.dumps({"logger": logger, "ends": ends}, indent=1) + "\n")
     bare = f"bare subscription {logger['bare_subscription_rate']:.0f}"
     rows = (
         (f"messages lost of {logger['messages']}", f"{logger['lost']}", "0", "-"),
@@ -123,7 +127,13 @@ def main() -> int:
         ("flood without a loss, messages a second", f"{logger['flood_rate']:.0f}", "-", bare),
     )
     print(Table("The logger's endurance", ("claim", "reached", "asked", "peer"), rows).text())
-    return 1 if logger["lost"] or logger["cpu_fraction"] >= 0.25 else 0
+    counts = tuple(
+        (name, key, str(count))
+        for name, each in ends.items()
+        for key, count in (each if isinstance(each, dict) else {each: ""}).items()
+    )
+    print(Table("How nodes and launches end", ("what", "", "count"), counts).text())
+    return 1 if failures(ends) or logger["lost"] or logger["cpu_fraction"] >= 0.25 else 0
 
 
 if __name__ == "__main__":

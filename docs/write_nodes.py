@@ -40,6 +40,7 @@ NODES = {
         "`robot_description`, in lockstep `clock` (rosgraph_msgs/Clock). Service `~/clear_fault` (std_srvs/Trigger).",
         "ground_motion": "Takes `response`, `emergency_stop`; publishes `ground_motion`. Action `play_ground_motion`.",
         "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",
+        "robot_description": "Offline: prints a rig's robot description (URDF).",
         "characterize": "Offline: a rig measured as the paper measured its building, in numbers and drawn.",
     },
     "abrace_bags": {
@@ -53,6 +54,10 @@ NODES = {
         "excitation": "Takes `response`, `emergency_stop`; publishes `brace_command`. Service `~/clear_fault`.",
         "identify": "Offline: two bags to models, poles and figures.",
         "validate": "Offline: a bag against its simulation by a model.",
+    },
+    "abrace": {
+        "supervisor": "Takes `diagnostics`; configures and activates the rig of a launch: launch.md. Ends with code "
+        "1 if nodes did not find each other, or a fault or a broken-off signal came in between.",
     },
     "abrace_lqg": {
         "design": "Offline: a model and weights to a controller file.",

@@ -17,4 +17,5 @@ setup(
     maintainer_email="maintainers@abrace.example.org",
     description="The abrace command: nodes run as processes, campaigns of tests, reports, bags.",
     license="Apache-2.0",
+    entry_points={"console_scripts": ["supervisor = abrace_core.executable:main"]},
 )

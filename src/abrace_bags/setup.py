@@ -15,9 +15,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "logger = abrace_bags.nodes.logger:main",
-            "recover = abrace_bags.nodes.recover:main",
-            "replay = abrace_bags.nodes.replay:main",
+            "logger = abrace_core.executable:main",
+            "recover = abrace_core.executable:main",
+            "replay = abrace_core.executable:main",
         ]
     },
 )

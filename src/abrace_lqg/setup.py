@@ -18,9 +18,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "design = abrace_lqg.nodes.design:main",
-            "controller = abrace_lqg.nodes.controller:main",
-            "explore = abrace_lqg.nodes.explore:main",
+            "design = abrace_core.executable:main",
+            "controller = abrace_core.executable:main",
+            "explore = abrace_core.executable:main",
         ]
     },
 )

@@ -18,10 +18,11 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "plant = abrace_plant.nodes.plant:main",
-            "ground_motion = abrace_plant.nodes.ground_motion:main",
-            "record = abrace_plant.nodes.record:main",
-            "characterize = abrace_plant.nodes.characterize:main",
+            "plant = abrace_core.executable:main",
+            "ground_motion = abrace_core.executable:main",
+            "record = abrace_core.executable:main",
+            "characterize = abrace_core.executable:main",
+            "robot_description = abrace_core.executable:main",
         ]
     },
 )

@@ -15,9 +15,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "excitation = abrace_sysid.nodes.excitation:main",
-            "identify = abrace_sysid.nodes.identify:main",
-            "validate = abrace_sysid.nodes.validate:main",
+            "excitation = abrace_core.executable:main",
+            "identify = abrace_core.executable:main",
+            "validate = abrace_core.executable:main",
         ]
     },
 )

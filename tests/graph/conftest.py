@@ -47,6 +47,7 @@ PACKAGES = {
     "replay": "abrace_bags",
     "excitation": "abrace_sysid",
     "controller": "abrace_lqg",
+    "supervisor": "abrace",
 }
 TRANSITIONS = {
     "configure": Transition.TRANSITION_CONFIGURE,
@@ -100,7 +101,7 @@ class Graph:
         log = self.folder / f"{name}.log"
         process = self.processes.start(name, [*command, *arguments], log)
         self.started[name] = process
-        if executable not in ("logger", "replay"):
+        if executable not in ("logger", "replay", "supervisor"):
             self._client(ChangeState, f"{name}/change_state")
             self._client(GetState, f"{name}/get_state")
             self._client(Trigger, f"{name}/clear_fault")

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from domain_coordinator import domain_id
 
+from abrace.processes.group import find_executable
 from abrace_bags import read_facts, read_run, read_topics
 
 NOISE = "{record: white_noise, rms: 0.25, band: [0.0, 10.0], seed: 1}"
@@ -57,14 +58,19 @@ def wait_for(condition, timeout: float, what: str) -> None:
         time.sleep(0.02)
 
 
-def test_a_campaign_records_every_sample_shows_progress_and_reports(tmp_path, environment):
+def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_listens(tmp_path, environment):
     path = campaign(
         tmp_path,
         f"{{name: shaken, test: {{duration: 4.0, ground_motion: {NOISE}}}}}",
         "{name: pushed, test: {duration: 4.0, excitation: {rms: 1000.0, band: [0.0, 30.0], seed: 2}}}",
     )
-    process = start(tmp_path, environment, "campaign", str(path))
-    output, errors = process.communicate(timeout=100)
+    listener = [find_executable("abrace_bags", "logger"), "--ros-args", "-p", "all:=true", "-p", "output:=listened"]
+    with subprocess.Popen(listener, cwd=tmp_path, env=environment) as listening:
+        wait_for((tmp_path / "listened").exists, 30.0, "the listener")
+        process = start(tmp_path, environment, "campaign", str(path))
+        output, errors = process.communicate(timeout=100)
+        listening.send_signal(signal.SIGINT)
+    assert read_topics(tmp_path / "listened", ["/short/response"])["/short/response"].log_time.size
     assert process.returncode == 0, errors
     assert "[1/2] shaken: done" in errors
     assert "[2/2] pushed: done" in errors

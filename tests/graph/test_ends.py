@@ -4,6 +4,7 @@ import os
 import pty
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -19,8 +20,9 @@ NOISE = {"duration": 60.0}
 pytestmark = pytest.mark.usefixtures("domain")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_every_node_cleanly_and_the_bag_is_closed(graph, number):
+@pytest.mark.parametrize(("number", "storm"), [(signal.SIGINT, True), (signal.SIGTERM, False)])
+def test_signals_end_every_node_cleanly_and_the_bag_is_closed(graph, number, storm):
+    """Once, or again and again until the node has ended: under `ros2 launch` Ctrl-C comes twice."""
     bag = graph.folder / "bag"
     graph.start("logger", output=str(bag))
     graph.start("plant")
@@ -31,6 +33,8 @@ def test_a_signal_ends_every_node_cleanly_and_the_bag_is_closed(graph, number):
     for name in ("excitation", "ground_motion", "plant", "logger"):
         graph.may_end.add(name)
         os.kill(graph.started[name].group, number)
+        while storm and graph.started[name].returncode is None:
+            os.kill(graph.started[name].group, number)
         assert graph.ended(name) == 0, graph.output_of(name)
         assert "Traceback" not in "\n".join(graph.output_of(name))
     assert (bag / "metadata.yaml").is_file()
@@ -55,6 +59,46 @@ def test_a_signal_ends_a_node_that_waits_for_its_life_cycle(graph):
     graph.start("plant", autostart=False)
     graph.until(lambda: "plant" in graph.statuses, "diagnostics")
     assert graph.stop("plant") == 0
+
+
+def test_a_node_ends_with_the_process_that_it_is_bound_to(graph, monkeypatch):
+    with subprocess.Popen(["sleep", "1000"]) as launch:
+        monkeypatch.setenv("ABRACE_END_WITH", str(launch.pid))
+        graph.start("logger", output=str(graph.folder / "bag"))
+        graph.until(lambda: "logger" in graph.statuses, "diagnostics")
+        launch.kill()
+    assert graph.ended("logger") == 0
+    assert (graph.folder / "bag/metadata.yaml").is_file()
+    expect_refusal(run_node("abrace_plant", "plant"), f"ABRACE_END_WITH={launch.pid}", "has ended")
+
+
+WORKER = """
+import os, signal, sys, time
+from abrace_core.node import AbraceNode, run
+class Worker(AbraceNode):
+    def __init__(self):
+        if sys.argv[1] == "created":
+            os.kill(os.getpid(), signal.SIGINT)
+        super().__init__("worker", [])
+    def work(self):
+        try:
+            print("working", flush=True)
+            time.sleep(1000)
+        finally:
+            os.kill(os.getpid(), signal.SIGINT)
+            print("cleaned up", flush=True)
+sys.exit(run(Worker, ["worker"]))
+"""
+
+
+@pytest.mark.parametrize(("when", "output"), [("created", ""), ("working", "working\ncleaned up\n")])
+def test_a_signal_interrupts_the_work_of_an_offline_node_and_a_second_one_not_its_cleaning_up(when, output):
+    process = subprocess.Popen([sys.executable, "-c", WORKER, when], stdout=subprocess.PIPE, text=True)
+    first = process.stdout.readline()
+    if first:
+        process.send_signal(signal.SIGINT)
+    assert first + process.communicate(timeout=60)[0] == output
+    assert process.returncode == 0
 
 
 def test_a_latched_topic_that_was_published_before_is_recorded(graph):

@@ -1,5 +1,7 @@
 """Imports run down the floors and never in a ring, neither of modules nor of rooms; only nodes import ROS."""
 
+import sys
+
 import pytest
 from source_tree import FLOORS, MODULES, Module, modules_of, ring
 
@@ -51,9 +53,26 @@ def test_rooms_of_the_plant_hardly_know_each_other():
     assert len(crossing) <= 4, crossing
 
 
-@pytest.mark.parametrize("name", [name for name in MODULES if not {"node", "nodes"} & set(name.split("."))])
+LAUNCH = "abrace_bringup.description"
+"""What launch files share; the other modules of that package hold what is tested without launch."""
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in MODULES if not {"node", "nodes"} & set(name.split(".")) and name != LAUNCH]
+)
 def test_ros_is_imported_by_nodes_alone(name):
     module = MODULES[name]
     found = {imported.partition(".")[0] for imported in module.imports}
     assert not found & ROS
     assert not {other for other in found if other.endswith(("_msgs", "_srvs"))}
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if name.startswith("abrace_bringup.")])
+def test_launch_files_need_what_every_machine_with_launch_has(name):
+    """They run in the system's Python, which has an older pydantic than our nodes, and no mcap."""
+    reached, new = set(), {name}
+    while new:
+        reached |= new
+        new = {other for each in new if each in MODULES for other in MODULES[each].imports} - reached
+    outside = {each.partition(".")[0] for each in reached} - set(sys.stdlib_module_names) - set(FLOORS)
+    assert outside <= {"yaml", "launch", "launch_ros", "ament_index_python"}

@@ -39,13 +39,14 @@ mcap-ros2-support), or older than abrace needs (pydantic 1): `make setup` instal
 NAMES_OF_PIP = {"skrf": "scikit-rf", "mcap_ros2": "mcap-ros2-support"}
 MODULES_OF_TESTS = {path.stem for folder in ("tests/support", "benchmarks") for path in (ROOT / folder).glob("*.py")}
 PACKAGES = {"abrace_interfaces", *FLOORS} - {"abrace"}
-"""Named in a text they are a dependency; `abrace` is also the name of other things."""
+"""Named in a text they are a dependency; `abrace` is so for launch alone, else it is the name of other things."""
 
 
 def keys(modules: list[Module], package: str) -> set[str]:
     """The dependencies that these modules have by their imports and by the names of our packages in them."""
     imported = {name.partition(".")[0] for module in modules for name in module.imports}
-    named = {text for module in modules for text in module.texts if text in PACKAGES}
+    packages = PACKAGES | ({"abrace"} if package.endswith("_bringup") else set())
+    named = {text for module in modules for text in module.texts if text in packages}
     known = set(sys.stdlib_module_names) | FROM_PIP | MODULES_OF_TESTS | {package}
     return {KEYS.get(name, name) for name in (imported - known) | (named - {package})}
 

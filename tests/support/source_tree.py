@@ -14,7 +14,7 @@ FLOORS = {
     "abrace_sysid": 3,
     "abrace_lqg": 3,
     "abrace": 4,
-    "abrace_bringup": 4,
+    "abrace_bringup": 5,
 }
 """A package imports itself and packages of lower floors, never one of its own floor."""
 

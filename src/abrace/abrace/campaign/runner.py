@@ -28,7 +28,7 @@ from abrace.campaign.file import (
     Validate,
     load_campaign,
 )
-from abrace.nodes.graph_monitor import GraphMonitor
+from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
 from abrace.processes.group import ProcessGroup, find_executable
 from abrace.processes.parameter_file import parameter_file
 from abrace_core.controller_file import load_controller
@@ -137,13 +137,6 @@ class _Runner:
             "wait_for": list(inputs) or ["brace_command"],
             "autostart": False,
         }
-        listeners = len(inputs) + 1
-        expected = {
-            "plant": {"subscribers of response": listeners, **{f"publishers of {topic}": 1 for topic in inputs}},
-            "logger": {f"publishers of {topic}": 1 for topic in ("response", *inputs)},
-        }
-        for topic, node in inputs.items():
-            expected[node] = {"publishers of response": 1, f"subscribers of {topic}": 2}
         samples = round(duration * rate)
         with ProcessGroup() as group, GraphMonitor(f"/{self.campaign.name}", ("plant",)) as monitor:
             self.start(group, name, "abrace_bags", "logger", logger)
@@ -151,7 +144,7 @@ class _Runner:
             for package, executable, parameters in nodes:
                 self.start(group, name, package, executable, parameters)
             monitor.configure("plant", PATIENCE, group.raise_if_died)
-            monitor.wait_until_matched(expected, PATIENCE, group.raise_if_died)
+            monitor.wait_until_matched(expected_matches(inputs), PATIENCE, group.raise_if_died)
             monitor.activate("plant", PATIENCE, group.raise_if_died)
             run_seconds = self.watch(group, monitor, samples, shown)
             group.stop_all([*inputs.values(), "plant", "logger"])

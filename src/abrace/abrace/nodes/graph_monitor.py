@@ -15,12 +15,33 @@ from abrace_core.errors import AbraceError
 from abrace_core.node import DIAGNOSTICS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from types import TracebackType
     from typing import Self
 
 SPIN_TIMEOUT = 0.05
 """Seconds that one spin waits at most."""
+
+
+def expected_matches(inputs: Mapping[str, str], plant: bool = True) -> dict[str, dict[str, int]]:
+    """The publishers and subscribers that each node of a test has to find, for `GraphMonitor.wait_until_matched`.
+
+    Parameters
+    ----------
+    inputs
+        The topics that the rig obeys, and the node that publishes each.
+    plant
+        Whether the rig is the node `plant`; otherwise it is known by what it publishes alone.
+    """
+    expected = {"logger": {f"publishers of {topic}": 1 for topic in ("response", *inputs)}}
+    if plant:
+        expected["plant"] = {
+            "subscribers of response": len(inputs) + 1,
+            **{f"publishers of {topic}": 1 for topic in inputs},
+        }
+    for topic, node in inputs.items():
+        expected[node] = {"publishers of response": 1, f"subscribers of {topic}": 2}
+    return expected
 
 
 class GraphMonitor:
@@ -32,11 +53,14 @@ class GraphMonitor:
         Of the nodes, as `/demo`.
     driven
         Names of the life cycle nodes whose state it changes.
+    name
+        Of its node.
     """
 
-    def __init__(self, namespace: str, driven: tuple[str, ...]) -> None:
+    def __init__(self, namespace: str, driven: Sequence[str], name: str = "campaign") -> None:
         self._namespace = namespace
         self._driven = driven
+        self._name = name
         self.values: dict[str, dict[str, str]] = {}
         """Values of each node's last diagnostics, by node name."""
         self.faults: dict[str, str] = {}
@@ -44,16 +68,18 @@ class GraphMonitor:
 
     def __enter__(self) -> Self:
         self._context = rclpy.Context()
-        self._context.init(domain_id=None)
+        self._context.init(args=[])
         rclpy.signals.install_signal_handlers(SignalHandlerOptions.NO)
-        self._node = rclpy.create_node("campaign", namespace=self._namespace, context=self._context)
+        self._node = rclpy.create_node(self._name, namespace=self._namespace, context=self._context)
         self._executor = rclpy.executors.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 50)
-        # made before the nodes start: a server drops its answers to a client that it has not discovered yet
+        # a server drops its answers to a client that it has not discovered yet: made before the nodes start, or
+        # `wait_until_heard` comes first
         self._state_clients = {
             name: self._node.create_client(ChangeState, f"{name}/change_state") for name in self._driven
         }
+        # after the clients: whose diagnostics come has discovered those before
+        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 50)
         return self
 
     def __exit__(
@@ -78,15 +104,32 @@ class GraphMonitor:
         """Receive diagnostics and answers of services."""
         self._executor.spin_once(timeout_sec=SPIN_TIMEOUT)
 
+    def wait_until_heard(self, node: str, timeout: float, check: Callable[[], None]) -> None:
+        """Wait for the diagnostics of a node that may have started before us.
+
+        Raises
+        ------
+        AbraceError
+            If none come within `timeout` [s].
+        """
+        deadline = time.monotonic() + timeout
+        while node not in self.values:
+            self.spin_once()
+            check()
+            if time.monotonic() > deadline:
+                raise AbraceError(f"no diagnostics of {node} in namespace {self._namespace} within {timeout:g} s")
+
     def wait_until_matched(
         self, expected: Mapping[str, Mapping[str, int]], timeout: float, check: Callable[[], None]
     ) -> None:
         """Wait until every node reports that its publishers and subscribers are matched.
 
+        Further subscribers, such as viewers and `ros2 bag record`, are welcome; further publishers are not.
+
         Parameters
         ----------
         expected
-            By node, by entry of its diagnostics ("subscribers of response"): how many.
+            By node, by entry of its diagnostics ("subscribers of response"): how many at least; of publishers exactly.
         timeout
             Seconds.
         check
@@ -95,7 +138,7 @@ class GraphMonitor:
         Raises
         ------
         AbraceError
-            If some are missing after `timeout`, naming them; if there are more than expected.
+            If some are missing after `timeout`, naming them; if there are more publishers than expected.
         """
         deadline = time.monotonic() + timeout
         while True:
@@ -105,7 +148,7 @@ class GraphMonitor:
             for node, entries in expected.items():
                 for entry, count in entries.items():
                     found = int(self.values.get(node, {}).get(entry, "0"))
-                    if found > count:
+                    if found > count and entry.startswith("publishers"):
                         raise AbraceError(
                             f"{node} has {found} {entry} in namespace {self._namespace}, expected {count}: "
                             "other nodes run there"
@@ -146,6 +189,10 @@ class GraphMonitor:
     def configure(self, node: str, timeout: float, check: Callable[[], None]) -> None:
         """Configure a life cycle node."""
         self.change_state(node, Transition.TRANSITION_CONFIGURE, timeout, check)
+
+    def deactivate(self, node: str, timeout: float, check: Callable[[], None]) -> None:
+        """Deactivate a life cycle node."""
+        self.change_state(node, Transition.TRANSITION_DEACTIVATE, timeout, check)
 
     def activate(self, node: str, timeout: float, check: Callable[[], None]) -> None:
         """Activate a life cycle node."""

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import gc
 import os
+import select
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from types import FrameType
@@ -30,6 +32,9 @@ LONGEST_WAIT = 0.1
 EVENTS_WHEN_LATE = 3
 """Callbacks between two ticks of a node that is late: without the answers in them it cannot catch up."""
 
+END_WITH = "ABRACE_END_WITH"
+"""Environment variable: number of a process with which the node ends, as `ros2 launch`, which SIGTERM ends at once."""
+
 
 class _Stop(BaseException):
     """A signal asks the process to end."""
@@ -40,14 +45,16 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class _Signals:
-    """A signal of `_SIGNALS` ends the node: between callbacks while it spins, at once before that.
+    """A signal of `_SIGNALS` ends the node: between two callbacks while it spins, at once while it does its work.
 
-    A SIGHUP that was ignored when the process started, as by `nohup`, stays ignored.
+    Otherwise a signal is only noted, so that none breaks off the start or the end of a node: Ctrl-C under `ros2 launch`
+    comes twice, from the terminal and from launch. A SIGHUP that was ignored when the process started, as by `nohup`,
+    stays ignored.
     """
 
     def __init__(self) -> None:
-        self.spinning = False
         self.stopped = False
+        self._interrupting: set[int] = set()
         self._terminals = [number for number in (1, 2) if os.isatty(number)]
         for number in _SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
@@ -55,12 +62,49 @@ class _Signals:
 
     def _received(self, number: int, frame: FrameType | None) -> None:
         if number == signal.SIGHUP:
-            for terminal in self._terminals:
-                # a message printed at the end would raise, and the node would not end cleanly
-                os.dup2(os.open(os.devnull, os.O_WRONLY), terminal)
+            _silence(self._terminals)
         self.stopped = True
-        if not self.spinning:
+        if number in self._interrupting:
+            # the same one again would interrupt what cleans up after the first
+            self._interrupting.discard(number)
             raise _Stop
+
+    def interrupt(self, work: Callable[[], None]) -> None:
+        """Call `work`; the first signal of each kind raises _Stop in it."""
+        self._interrupting.update(_SIGNALS)
+        try:
+            if not self.stopped:
+                work()
+        finally:
+            self._interrupting.clear()
+
+
+def _silence(descriptors: Sequence[int]) -> None:
+    """Drop what is still printed there: a message at the end would raise, and the node would not end cleanly."""
+    for descriptor in descriptors:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
+
+
+def _end_with(process: int) -> None:
+    """Stop this node as soon as another process has ended, however that ended; a thread waits for it.
+
+    Raises
+    ------
+    AbraceError
+        If that process has ended already.
+    """
+    try:
+        ended = select.poll()
+        ended.register(os.pidfd_open(process), select.POLLIN)
+    except ProcessLookupError as error:
+        raise AbraceError(f"{END_WITH}={process}: that process, which started this node, has ended") from error
+
+    def wait() -> None:
+        ended.poll()
+        _silence((1, 2))
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=wait, name="end_with", daemon=True).start()
 
 
 def _spin(node: AbraceNode, signals: _Signals) -> int:
@@ -70,7 +114,6 @@ def _spin(node: AbraceNode, signals: _Signals) -> int:
     # the garbage collector leaves out the objects made so far: its pauses would delay samples
     gc.collect()
     gc.freeze()
-    signals.spinning = True
     spin_once = executor.spin_once
     spin, ended = executor.spin_until_future_complete, node.ended
     monotonic = time.monotonic
@@ -89,7 +132,6 @@ def _spin(node: AbraceNode, signals: _Signals) -> int:
                     for _ in range(EVENTS_WHEN_LATE):
                         spin_once(timeout_sec=0.0)
     finally:
-        signals.spinning = False
         executor.remove_node(node)
         executor.shutdown()
     return node.exit_code or 0
@@ -141,10 +183,12 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
     arguments = list(sys.argv if arguments is None else arguments)
     program = arguments[0].rsplit("/", 1)[-1]
     try:
+        if END_WITH in os.environ:
+            _end_with(int(os.environ[END_WITH]))
         _initialize(arguments)
         node = create()
         if hasattr(node, "work"):
-            node.work()
+            signals.interrupt(node.work)
             exit_code = node.exit_code or 0
         else:
             if isinstance(node, AbraceLifecycleNode):

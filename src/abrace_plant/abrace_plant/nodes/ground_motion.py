@@ -238,12 +238,14 @@ class GroundMotion(AbraceLifecycleNode):
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """State for `/diagnostics`."""
         playback = self.playback
-        if self.fault:
-            return self.fault, "", {}
         values: dict[str, object] = {"lost": self.watch.missing} if self.active else {}
+        if playback is not None:
+            signal = "playing" if not playback.done else "cancelled" if playback.cancelled else "over"
+            values |= {"elapsed": playback.elapsed, "duration": playback.duration, "signal": signal}
+        if self.fault:
+            return self.fault, "", values
         if playback is None or playback.done:
             return None, "ready" if self.active else "not active", values
-        values |= {"elapsed": playback.elapsed, "duration": playback.duration}
         return None, "coming to rest" if playback.cancelled else "playing", values
 
 

@@ -70,6 +70,19 @@ class Excitation(BraceCommander):
         index = sequence - self.first
         return self.signal[index] if index < len(self.signal) else self.nothing
 
+    def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
+        """State for `diagnostics`, with how far the signal is."""
+        fault, message, values = super().diagnose()
+        if self.configured and self.watch.sequence >= 0:
+            rate, played = self.parameters.sample_rate, self.watch.sequence - self.first + 1
+            over = played >= len(self.signal)
+            values |= {
+                "elapsed": min(played, len(self.signal)) / rate,
+                "duration": len(self.signal) / rate,
+                "signal": "over" if over else "playing",
+            }
+        return fault, message, values
+
 
 def main() -> int:
     """Entry point."""

@@ -1,0 +1,125 @@
+"""The node `supervisor`: begins a test when all nodes have found each other, and ends it after its last signal.
+
+With it `ros2 launch` runs a test as a campaign does: the rig stands still until everything is recorded. Signals are
+those of nodes that report `signal` and `elapsed` in their diagnostics: `ground_motion` and `excitation`.
+"""
+
+from __future__ import annotations
+
+import time
+
+from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
+from abrace_core.errors import AbraceError
+from abrace_core.node import AbraceNode, Parameter, run
+from abrace_core.node.brace_commander import RAMP_TIME
+
+STUCK = 30.0
+"""Seconds in which a signal does not go on that end a test."""
+
+PARAMETERS = [
+    Parameter(
+        "inputs",
+        [],
+        "what the rig obeys and who publishes it: brace_command=controller, ground_motion=ground_motion",
+        element=str,
+        required=True,
+    ),
+    Parameter("plant", True, "the rig is the node plant, which is activated; false: the nodes of inputs are, in turn"),
+    Parameter("signals", [], "nodes whose signals the test waits for; empty: it goes on until stopped", element=str),
+    Parameter("free_decay", 5.0, "s from the end of the last signal to the end of the test", minimum=0.0),
+    Parameter("patience", 30.0, "s in which the nodes have to start and find each other", minimum=0.1),
+]
+
+
+class Supervisor(AbraceNode):
+    """Activates what was held, watches the signals, and ends: with code 1 if the test is not as it should be."""
+
+    def __init__(self) -> None:
+        super().__init__("supervisor", PARAMETERS)
+        given = self.parameters
+        pairs = [text.partition("=") for text in given.inputs]
+        self.inputs = {topic: node for topic, _, node in pairs}
+        if not all(topic and node for topic, _, node in pairs) or len(self.inputs) < len(pairs):
+            raise AbraceError(f"parameter inputs: {given.inputs}, expected topic=node, each topic once")
+        self.held = ["plant"] if given.plant else list(self.inputs.values())
+        self.problems: list[str] = []
+
+    def work(self) -> None:
+        """Begin, watch and end the test."""
+        with GraphMonitor(self.get_namespace(), self.held, "supervisor_monitor") as self.monitor:
+            try:
+                self.begin()
+                self.watch()
+                self.end()
+            except AbraceError as error:
+                self.finish(1, str(error))
+                return
+        if self.problems:
+            self.finish(1, "; ".join(self.problems))
+        else:
+            self.finish(0, "the test is over")
+
+    def note_faults(self) -> None:
+        """Keep the faults that nodes report, for the end: a person may clear them, and the test go on."""
+        for node, fault in self.monitor.faults.items():
+            self.note(f"{node}: {fault}")
+
+    def note(self, problem: str) -> None:
+        """Keep a problem for the end."""
+        if problem not in self.problems:
+            self.problems.append(problem)
+
+    def begin(self) -> None:
+        """Configure what is held, and activate it once all nodes are matched."""
+        monitor, patience = self.monitor, self.parameters.patience
+        for node in self.held:
+            monitor.wait_until_heard(node, patience, self.note_faults)
+            monitor.configure(node, patience, self.note_faults)
+        monitor.wait_until_matched(expected_matches(self.inputs, self.parameters.plant), patience, self.note_faults)
+        for node in self.held:
+            monitor.activate(node, patience, self.note_faults)
+        print(f"supervisor: all nodes have found each other; {' and '.join(self.held)} activated", flush=True)
+
+    def watch(self) -> None:
+        """Wait for the end of every signal, and of the free decay after them; without a signal, for ever."""
+        waiting = list(self.parameters.signals)
+        while not waiting:
+            self.monitor.spin_once()
+        news = time.monotonic()
+        elapsed = dict.fromkeys(waiting, "")
+        while waiting:
+            self.monitor.spin_once()
+            self.note_faults()
+            for node in list(waiting):
+                values = self.monitor.values.get(node, {})
+                if values.get("elapsed", "") != elapsed[node]:
+                    elapsed[node], news = values.get("elapsed", ""), time.monotonic()
+                if values.get("signal") == "cancelled":
+                    self.note(f"{node}: cancelled after {elapsed[node]} s")
+                if values.get("signal") in ("over", "cancelled"):
+                    waiting.remove(node)
+            if time.monotonic() > news + STUCK:
+                raise AbraceError(
+                    f"{', '.join(waiting)}: the signal has not gone on for {STUCK:g} s, is the rig there?"
+                )
+        print(f"supervisor: the signal is over, {self.parameters.free_decay:g} s of free decay follow", flush=True)
+        self.spin(self.parameters.free_decay)
+
+    def spin(self, duration: float) -> None:
+        """Let so many seconds pass, and note faults."""
+        end = time.monotonic() + duration
+        while time.monotonic() < end:
+            self.monitor.spin_once()
+            self.note_faults()
+
+    def end(self) -> None:
+        """Deactivate what was activated, the last one first; where that is not the rig, its force goes to zero."""
+        for node in reversed(self.held):
+            self.monitor.deactivate(node, self.parameters.patience, self.note_faults)
+        if not self.parameters.plant:
+            self.spin(2 * RAMP_TIME)
+
+
+def main() -> int:
+    """Entry point."""
+    return run(Supervisor)

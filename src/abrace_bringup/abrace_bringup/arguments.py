@@ -1,0 +1,177 @@
+"""Launch arguments: their table, and their check before the first node is started.
+
+Launch files run in the Python of `ros2 launch`, which may lack what our nodes have: this needs the standard library and
+PyYAML alone, and no ROS.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping, Sequence
+
+NAMESPACE = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
+
+
+@dataclass(frozen=True)
+class Argument:
+    """A launch argument.
+
+    Parameters
+    ----------
+    name
+        As in `name:=value`.
+    default
+        Text that is taken where none is given.
+    description
+        What it is, with its unit.
+    read
+        Makes its value of the text; a ValueError names what was expected.
+    """
+
+    name: str
+    default: str
+    description: str
+    read: Callable[[str], Any] = str
+
+
+def number(text: str) -> float:
+    """A number of 0 or more."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise ValueError("a number of 0 or more")
+    return value
+
+
+def duration(text: str) -> float:
+    """A number above 0."""
+    if not (value := number(text)):
+        raise ValueError("a number above 0")
+    return value
+
+
+def flag(text: str) -> bool:
+    """`true` or `false`."""
+    if text.lower() not in ("true", "false"):
+        raise ValueError("true or false")
+    return text.lower() == "true"
+
+
+def one_of(*choices: str) -> Callable[[str], str]:
+    """Reads one of these texts."""
+
+    def read(text: str) -> str:
+        if text not in choices:
+            raise ValueError(" or ".join(choices))
+        return text
+
+    return read
+
+
+def namespace(text: str) -> str:
+    """A ROS namespace, without the slash in front."""
+    if not NAMESPACE.fullmatch(text):
+        raise ValueError("a ROS namespace such as rig")
+    return text.lstrip("/")
+
+
+def new_bag(text: str) -> str:
+    """A path where nothing is yet."""
+    if not text or Path(text).exists():
+        raise ValueError("a new directory for the bag" + (", this one exists already" if text else ""))
+    return text
+
+
+def name_or_file(text: str, *endings: str) -> str:
+    """A text; what looks like a path, by a slash or one of the `endings`, has to be one of a file or directory."""
+    if ("/" in text or text.lower().endswith(endings)) and not Path(text).exists():
+        raise ValueError("a file, and there is none of this name")
+    return text
+
+
+def rig(text: str) -> str:
+    """A rig's name or file."""
+    if not text:
+        raise ValueError("the name of a rig or a file")
+    return name_or_file(text, ".yaml")
+
+
+def record(text: str) -> str:
+    """A record's name or file."""
+    return name_or_file(text, ".at2", ".csv", ".txt", ".mat", ".mcap", ".v2")
+
+
+def parameter_file(text: str) -> str:
+    """A ROS parameter file."""
+    try:
+        content = yaml.safe_load(Path(text).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"a ROS parameter file: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"a ROS parameter file: {' '.join(str(error).split())}") from error
+    if not _holds_parameters(content):
+        raise ValueError("a ROS parameter file: no ros__parameters in it")
+    return text
+
+
+def parameter_file_or_none(text: str) -> str:
+    """A ROS parameter file, or an empty text."""
+    return parameter_file(text) if text else text
+
+
+def _holds_parameters(content: object) -> bool:
+    if not isinstance(content, dict):
+        return False
+    return isinstance(content.get("ros__parameters"), dict) or any(map(_holds_parameters, content.values()))
+
+
+def read_arguments(table: Sequence[Argument], texts: Mapping[str, str], given: Collection[str] = ()) -> dict[str, Any]:
+    """The values of the arguments.
+
+    Parameters
+    ----------
+    table
+        The arguments that there are.
+    texts
+        Text of each of them.
+    given
+        Names on the command line, all of which have to be in the table.
+
+    Returns
+    -------
+    dict
+        Value by name.
+
+    Raises
+    ------
+    AbraceError
+        With a line for each mistake.
+    """
+    names = [argument.name for argument in table]
+    mistakes, values = [], {}
+    for name in given:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, 1)
+            mistakes.append(f"{name}: unknown, expected {near[0] if near else 'one of ' + ', '.join(names)}")
+    for argument in table:
+        text = texts[argument.name]
+        try:
+            values[argument.name] = argument.read(text)
+        except ValueError as error:
+            mistakes.append(f"{argument.name}:={text}, expected {error}")
+    if mistakes:
+        raise AbraceError("\n".join(["wrong launch arguments, nothing was started", *mistakes]))
+    return values

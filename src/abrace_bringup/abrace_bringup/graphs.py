@@ -1,0 +1,174 @@
+"""The graphs that launch files start: arguments, nodes with their parameters, and what the end of a node means."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from abrace_bringup.arguments import (
+    Argument,
+    duration,
+    flag,
+    namespace,
+    new_bag,
+    number,
+    one_of,
+    parameter_file,
+    parameter_file_or_none,
+    record,
+    rig,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+COMMON = (
+    Argument("bag", "", "bag (a new directory) to write; has to be given", new_bag),
+    Argument("namespace", "rig", "namespace of all nodes", namespace),
+    Argument("rig", "ncree_three_storey", "rig: a name in abrace_plant's configuration or a file", rig),
+    Argument("plant", "true", "true: start the simulated rig; false: a real rig runs, or one on another machine", flag),
+    Argument("free_decay", "5.0", "s that are recorded after the end of the signal", number),
+    Argument("patience", "30.0", "s in which the nodes have to start and find each other", number),
+    Argument(
+        "parameters",
+        "",
+        "ROS parameter file for all nodes, by their names; goes before arguments; empty: none",
+        parameter_file_or_none,
+    ),
+    Argument("robot_state_publisher", "false", "true: start robot_state_publisher as well, for RViz", flag),
+)
+CLOSED_LOOP = (
+    Argument("controller", "", "controller file (YAML) that `design` wrote; has to be given", parameter_file),
+    Argument(
+        "record",
+        "el_centro",
+        "ground motion: a known name or a file; empty: wait for the action play_ground_motion, until stopped",
+        record,
+    ),
+    Argument("peak_acceleration", "0.980665", "m/s^2 that the record is scaled to; 0.0: as recorded", number),
+    Argument("duration", "0.0", "s to which the record is cut or padded; 0.0: whole", number),
+    *COMMON,
+)
+IDENTIFICATION = (
+    Argument(
+        "drive",
+        "",
+        "what moves the rig: table, command or both; has to be given; both: multisines on odd lines of "
+        "the table and even ones of the command",
+        one_of("table", "command", "both"),
+    ),
+    Argument(
+        "signal",
+        "white_noise",
+        "white_noise or multisine, of table or command; both at once are multisines in any case",
+        one_of("white_noise", "multisine"),
+    ),
+    Argument("duration", "300.0", "s of the signal", duration),
+    *COMMON,
+)
+SUPERVISOR = "supervisor"
+
+
+@dataclass(frozen=True)
+class NodeSetup:
+    """A node to start: its package and executable, its parameters, and parameter files that go before them."""
+
+    package: str
+    executable: str
+    parameters: Mapping[str, Any]
+    files: tuple[str, ...] = field(default=())
+
+
+def closed_loop(values: Mapping[str, Any]) -> list[NodeSetup]:
+    """The nodes of the closed loop.
+
+    Parameters
+    ----------
+    values
+        Of the arguments `CLOSED_LOOP`.
+    """
+    motion = {name: values[name] for name in ("record", "peak_acceleration", "duration")}
+    partners = {
+        "brace_command": NodeSetup("abrace_lqg", "controller", {}, (values["controller"],)),
+        "ground_motion": NodeSetup("abrace_plant", "ground_motion", motion),
+    }
+    signals = ["ground_motion"] if values["record"] else []
+    return _test(values, partners, signals, [values["controller"]])
+
+
+def identification(values: Mapping[str, Any]) -> list[NodeSetup]:
+    """The nodes of a test for identification.
+
+    Parameters
+    ----------
+    values
+        Of the arguments `IDENTIFICATION`.
+    """
+    both = values["drive"] == "both"
+    signal = "multisine" if both else values["signal"]
+    # a multisine must not begin at 0 Hz: the table's stroke grows with 1 / frequency^2
+    lowest = 0.3 if signal == "multisine" else 0.0
+    drive = {"duration": values["duration"]}
+    partners = {}
+    if both or values["drive"] == "table":
+        motion = {"record": signal, "band": [lowest, 10.0], **drive}
+        partners["ground_motion"] = NodeSetup("abrace_plant", "ground_motion", motion)
+    if both or values["drive"] == "command":
+        command = {"signal": signal, "band": [lowest, 30.0], "lines": "even" if both else "odd", **drive}
+        partners["brace_command"] = NodeSetup("abrace_sysid", "excitation", command)
+    return _test(values, partners, [partner.executable for partner in partners.values()], [])
+
+
+def _test(
+    values: Mapping[str, Any], partners: Mapping[str, NodeSetup], signals: list[str], attachments: list[str]
+) -> list[NodeSetup]:
+    """Logger, the rig's partners by the topic that they publish, the rig, and the supervisor that begins and ends."""
+    plant = values["plant"]
+    rig_file = values["rig"] if values["rig"].endswith(".yaml") else ""
+    files = [file for file in (*attachments, values["parameters"], rig_file) if file]
+    supervision = {
+        "inputs": [f"{topic}={partner.executable}" for topic, partner in partners.items()],
+        "plant": plant,
+        "signals": signals,
+        "free_decay": values["free_decay"],
+        "patience": values["patience"],
+    }
+    setups = [
+        NodeSetup("abrace_bags", "logger", {"output": values["bag"], "attachments": files}),
+        *(
+            NodeSetup(each.package, each.executable, {**each.parameters, "autostart": plant}, each.files)
+            for each in partners.values()
+        ),
+        *([NodeSetup("abrace_plant", "plant", {"rig": values["rig"], "autostart": False})] if plant else []),
+        NodeSetup("abrace", SUPERVISOR, supervision),
+    ]
+    # an empty list has no type in ROS, and is what those parameters are without it
+    return [
+        NodeSetup(each.package, each.executable, {k: v for k, v in each.parameters.items() if v != []}, each.files)
+        for each in setups
+    ]
+
+
+def end_of_node(executable: str, returncode: int, shutting_down: bool) -> str | None:
+    """What the end of a required node means for the launch.
+
+    Parameters
+    ----------
+    executable
+        Which node it was.
+    returncode
+        Its exit code, or minus the signal that ended it.
+    shutting_down
+        Whether the launch is being shut down.
+
+    Returns
+    -------
+    str or None
+        What went wrong; empty: the test is over; None: nothing.
+    """
+    if shutting_down and returncode in (0, -2):
+        return None
+    if returncode == 0 and executable in (SUPERVISOR, "plant"):
+        return ""
+    how = f"exit code {returncode}" if returncode >= 0 else f"signal {-returncode}"
+    return f"{executable} has ended with {how}, the test is not whole"

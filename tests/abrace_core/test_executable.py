@@ -1,0 +1,30 @@
+"""The entry point of the nodes' executables."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+def ended(folder: Path, module: str) -> subprocess.CompletedProcess:
+    """Run the executable lib/some_package/node, whose module is this text."""
+    (folder / "some_package/nodes").mkdir(parents=True)
+    (folder / "some_package/nodes/node.py").write_text(module)
+    executable = folder / "lib/some_package/node"
+    executable.parent.mkdir(parents=True)
+    executable.write_text(
+        f"import sys\nsys.path.insert(0, {str(folder)!r})\nfrom abrace_core.executable import main\nsys.exit(main())\n"
+    )
+    return subprocess.run([sys.executable, executable], capture_output=True, text=True, timeout=30, check=False)
+
+
+def test_an_executable_runs_the_node_of_its_folder_and_name(tmp_path):
+    found = ended(tmp_path, "def main():\n    return 3\n")
+    assert (found.returncode, found.stderr) == (3, "")
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_while_modules_are_imported_ends_it_without_a_word(tmp_path, name):
+    found = ended(tmp_path, f"import os, signal\nos.kill(os.getpid(), signal.{name})\nraise RuntimeError\n")
+    assert (found.returncode, found.stdout, found.stderr) == (0, "", "")

@@ -1,0 +1,63 @@
+"""The supervisor of a launch begins a test when all are matched, ends it after its signal, and says what was wrong."""
+
+import numpy as np
+import pytest
+
+from abrace_bags import read_run
+from abrace_interfaces.msg import BraceCommand, Response
+
+pytestmark = pytest.mark.usefixtures("domain")
+
+BOTH = ["brace_command=excitation", "ground_motion=ground_motion"]
+
+
+def test_a_test_begins_when_it_is_recorded_and_ends_after_its_signal_whoever_listens(graph):
+    bag = graph.folder / "bag"
+    viewer = graph.listen(Response, "response")
+    graph.start("plant", autostart=False, command_timeout=10.0)
+    graph.start("supervisor", inputs=["brace_command=excitation"], signals=["excitation"], free_decay=0.5)
+    graph.start("excitation", duration=2.0)
+    graph.until(lambda: graph.values("plant").get("subscribers of response") == "2", "the viewer and the excitation")
+    assert not viewer, "nothing is sampled before the logger is there"
+    graph.start("logger", output=str(bag))
+    assert graph.ended("supervisor") == 0, graph.output_of("supervisor")
+    assert graph.state("plant") == "inactive"
+    assert graph.stop("logger") == 0
+    run = read_run(bag)
+    assert run.sequence[0] == 0
+    assert len(run.sequence) == run.sequence[-1] + 1 == len(viewer) >= 2.5 * 500
+
+
+def test_a_rig_that_runs_elsewhere_is_joined_when_it_is_recorded_and_a_broken_off_signal_is_an_error(graph):
+    bag = graph.folder / "bag"
+    graph.start("plant", command_timeout=10.0)
+    graph.start("ground_motion", record="white_noise", duration=1000.0, autostart=False)
+    options = {"plant": False, "signals": ["ground_motion"], "free_decay": 0.6}
+    graph.start("supervisor", inputs=["ground_motion=ground_motion"], **options)
+    graph.start("logger", output=str(bag))
+    graph.until(lambda: float(graph.values("ground_motion").get("elapsed", 0)) > 0.2, "the motion")
+    graph.emergency_stop()(True)
+    assert graph.ended("supervisor") == 1
+    last = graph.output_of("supervisor")[-1]
+    assert "ground_motion: cancelled after" in last
+    assert "emergency stop" in last
+    assert graph.state("ground_motion") == "inactive"
+    assert graph.stop("logger") == 0
+    assert np.abs(read_run(bag).ground_acceleration[:3]).max() < 0.002, "recorded from before the motion on"
+
+
+def test_who_is_missing_and_who_is_too_many_is_named(graph):
+    graph.start("plant", autostart=False)
+    graph.until(lambda: "plant" in graph.statuses, "the plant")
+    graph.start("supervisor", inputs=BOTH, patience=3.0)
+    assert graph.ended("supervisor") == 1
+    (line,) = graph.output_of("supervisor")
+    assert "did not find each other within 3 s" in line
+    for node in ("logger", "excitation", "ground_motion"):
+        assert f"{node} has 0 of 1" in line
+    assert graph.change_state("plant", "cleanup")
+    for _ in range(2):
+        graph.node.create_publisher(BraceCommand, "brace_command", 10)
+    graph.start("supervisor", name="second", inputs=BOTH)
+    assert graph.ended("second") == 1
+    assert "plant has 2 publishers of brace_command" in graph.output_of("second")[0]
