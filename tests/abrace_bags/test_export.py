@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import struct
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -81,11 +82,13 @@ def test_mat_has_every_value_under_names_that_matlab_takes(bag: Path, tmp_path: 
 
 def test_sequences_at_both_ends_of_their_range_are_counted(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "ends", {}) as bag:
-        topic = bag.add_topic("/ends", "test_msgs/msg/Ends", "uint64 sequence\n", "")
+        topic = bag.add_topic("/ends", "test_msgs/msg/Ends", "std_msgs/Header header\nuint64 sequence\n", "")
         for sequence in (0, 2**64 - 1):
-            bag.write(topic, b"\0\1\0\0" + sequence.to_bytes(8, "little"), 1, 1)
-    (ends,) = describe(tmp_path / "ends").topics
-    assert (ends.gaps, ends.missing) == (1, 2**64 - 2)
+            header = b"\0\1\0\0" + struct.pack("<iII8x", 0, 0, 4)[:16]
+            bag.write(topic, header + sequence.to_bytes(8, "little"), 1, 1)
+    for check in (False, True):
+        (ends,) = describe(tmp_path / "ends", check).topics
+        assert (ends.first, ends.gaps, ends.missing) == (0, 1, 2**64 - 2)
 
 
 def arrays(**fields: Any) -> TopicArrays:

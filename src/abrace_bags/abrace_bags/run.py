@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_bags.reader import in_brackets, read_selected
+from abrace_bags.bag import in_brackets
+from abrace_bags.reader import read_selected
 from abrace_core.errors import AbraceError
 from abrace_core.run import Run
 from abrace_core.sequence import breaks
