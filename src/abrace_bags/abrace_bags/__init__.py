@@ -9,7 +9,7 @@ from abrace_bags.definitions import MessageDefinition, message_definition
 from abrace_bags.qos import DEFAULT_QOS, offered_qos
 from abrace_bags.reader import BagContents, TopicArrays, read_facts, read_topics
 from abrace_bags.recovery import Recovered, recover
-from abrace_bags.run import read_run
+from abrace_bags.run import read_run, read_runs
 from abrace_bags.writer import BagWriter
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "offered_qos",
     "read_facts",
     "read_run",
+    "read_runs",
     "read_topics",
     "recover",
 ]

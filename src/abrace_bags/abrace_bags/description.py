@@ -29,11 +29,11 @@ class TopicDescription:
     rate
         Messages a second between the first and the last; 0 where there are fewer than two.
     first
-        `sequence` of its first message; None for messages without one.
+        `sequence` of its first message; None for messages that do not begin with a header and one.
     gaps
-        How often `sequence` skips numbers; None for messages without one.
+        How often `sequence` skips numbers; None where `first` is.
     missing
-        Numbers that it skips in all; None for messages without a `sequence`.
+        Numbers that it skips in all; None where `first` is.
     lost
         Messages that the logger counted as lost; None where the bag has no such count.
     """

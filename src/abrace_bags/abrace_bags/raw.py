@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from abrace_bags.bag import open_bag
 from abrace_bags.qos import combined_qos, parse_qos
-from abrace_bags.survey import RawMessage, Survey, first_time, survey
+from abrace_bags.survey import RawMessage, Survey, survey, time_range
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -107,11 +106,7 @@ def read_raw(
         asked = not topics or any(channel.topic == one or _is_end_of(one, channel.topic) for one in topics)
         return asked and not refuses(channel)
 
-    begin = end = None
-    if start_offset or duration:
-        first = first_time(open_bag(path), accepts)
-        begin = None if first is None else first + round(start_offset * 1e9)
-        end = begin + round(duration * 1e9) if begin is not None and duration else None
+    begin, end = time_range(path, accepts, start_offset, duration)
     found = survey(path, accepts, begin, end)
     channels = [channel for file in found.opened.files for channel in file.channels.values()]
     choose_topics(bag, (channel.topic for channel in channels), topics)

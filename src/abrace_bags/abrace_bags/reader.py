@@ -16,11 +16,12 @@ from abrace_core.errors import AbraceError
 from abrace_core.sequence import NumberRanges, are_interleaved, clock_was_set_back
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from abrace_bags.definitions import MessageType
     from abrace_bags.mcap.chunk import Messages
     from abrace_bags.mcap.index import RecordedChannel
 
@@ -206,16 +207,8 @@ def _fields(records: NDArray[np.void], size: int, form: str, offset: int) -> NDA
 
 
 def _topic(recorded: list[tuple[RecordedChannel, Stream | None]]) -> tuple[TopicArrays, list[str]]:
-    """All messages of one topic, from its channels in all files, and how many of them are left out and why."""
-    channel = recorded[0][0]
-    described = channel.type_name, channel.definition
-    for other, _ in recorded:
-        if not is_same_type(described, (other.type_name, other.definition)):
-            raise AbraceError(f"has messages of {channel.type_name} and another {other.type_name}, expected one")
-        if (other.message_encoding, other.schema_encoding) != ("cdr", "ros2msg"):
-            encodings = f"{other.message_encoding!r} described by {other.schema_encoding!r}"
-            raise AbraceError(f"is written as {encodings}, expected 'cdr' described by 'ros2msg'")
-    message_type = parse_message_type(*described)
+    """All messages of one topic, from its channels in all files, and what is to be said of them."""
+    message_type = common_type([channel for channel, _ in recorded])
     streams = [stream for _, stream in recorded if stream is not None]
     count = 0
     payloads = []
@@ -225,24 +218,58 @@ def _topic(recorded: list[tuple[RecordedChannel, Stream | None]]) -> tuple[Topic
     none = [np.empty(0, np.int64)]
     log_time = np.concatenate(none + [stream.times(LOG_TIME) for stream in streams])
     publish_time = np.concatenate(none + [stream.times(PUBLISH_TIME) for stream in streams])
-    notes = []
+    fields, fits, notes = decode_fitting(message_type, payloads, count)
+    order, note = _order(log_time[fits], sequence_in(fields))
+    if order is not None:
+        fields = {name: values[order] for name, values in fields.items()}
+    chosen = fits if order is None else np.flatnonzero(fits)[order]
+    return TopicArrays(recorded[0][0].type_name, fields, log_time[chosen], publish_time[chosen]), notes + note
+
+
+def common_type(channels: Sequence[RecordedChannel]) -> MessageType:
+    """The type of a topic's messages, at least one channel's.
+
+    Raises
+    ------
+    AbraceError
+        If they have several, or are not CDR described by .msg texts.
+    """
+    described = channels[0].type_name, channels[0].definition
+    for other in channels:
+        if not is_same_type(described, (other.type_name, other.definition)):
+            raise AbraceError(f"has messages of {described[0]} and another {other.type_name}, expected one")
+        if (other.message_encoding, other.schema_encoding) != ("cdr", "ros2msg"):
+            encodings = f"{other.message_encoding!r} described by {other.schema_encoding!r}"
+            raise AbraceError(f"is written as {encodings}, expected 'cdr' described by 'ros2msg'")
+    return parse_message_type(*described)
+
+
+def decode_fitting(
+    message_type: MessageType, payloads: Sequence[tuple[NDArray[np.int64], NDArray[np.void]]], count: int
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_], list[str]]:
+    """Decode those of `count` messages that fit their type; parameters as for `decode`.
+
+    Returns
+    -------
+    tuple
+        The fields, (messages,) which messages fit, and a sentence if not all do.
+
+    Raises
+    ------
+    AbraceError
+        If none fits.
+    """
+    fits = np.ones(count, bool)
     try:
-        fields = decode(message_type, payloads)
+        return decode(message_type, payloads), fits, []
     except AbraceError as error:
-        fits = np.ones(count, bool)
         fits[undecodable(message_type, payloads)] = False
         if not fits.any():
             raise
-        notes = [f"{count - fits.sum()} of {count} messages are left out: {error}"]
+        note = f"{count - fits.sum()} of {count} messages are left out: {error}"
         renumbered = np.cumsum(fits) - 1
         kept = [(renumbered[numbers[fits[numbers]]], block[fits[numbers]]) for numbers, block in payloads]
-        fields = decode(message_type, [part for part in kept if len(part[0])])
-        log_time, publish_time = log_time[fits], publish_time[fits]
-    order, note = _order(log_time, sequence_in(fields))
-    if order is not None:
-        fields = {name: values[order] for name, values in fields.items()}
-        log_time, publish_time = log_time[order], publish_time[order]
-    return TopicArrays(channel.type_name, fields, log_time, publish_time), notes + note
+        return decode(message_type, [part for part in kept if len(part[0])]), fits, [note]
 
 
 def _order(log_time: NDArray[np.int64], sequence: NDArray[Any] | None) -> tuple[NDArray[np.intp] | None, list[str]]:

@@ -228,6 +228,23 @@ def first_time(opened: OpenedBag, accepts: Callable[[RecordedChannel], bool]) ->
     return min((int(times.min()) for times in parts if times.size), default=None)
 
 
+def time_range(
+    bag: Path | str, accepts: Callable[[RecordedChannel], bool], start_offset: float, duration: float
+) -> tuple[int | None, int | None]:
+    """Log times [ns] between which a part of a `bag` lies; None: from the first message, to the last.
+
+    `accepts` says whose messages these are, `start_offset` [s] counts from the first, a `duration` [s] of 0 is to the
+    end.
+    """
+    if not start_offset and not duration:
+        return None, None
+    first = first_time(open_bag(bag), accepts)
+    if first is None:
+        return None, None
+    begin = first + round(start_offset * 1e9)
+    return begin, begin + round(duration * 1e9) if duration else None
+
+
 def edges(opened: OpenedBag, name: str) -> tuple[int, int, int | None]:
     """Least and greatest log time [ns] of a topic that has messages; `sequence` of its first message, if it has one."""
     message_filter = MessageFilter(lambda channel: channel.topic == name)
