@@ -257,6 +257,17 @@ def test_inputs_of_a_rig_are_left_out_with_a_warning(tmp_path: Path) -> None:
     assert (list(by_name.topics), by_name.warnings) == (["/lab/force", "/lab/note"], ())
 
 
+def test_hidden_topics_are_left_out_unless_they_are_named(tmp_path: Path) -> None:
+    feedback = "/lab/ground_motion/_action/feedback"
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        for name, kind in ((feedback, "lab_msgs/action/Play_FeedbackMessage"), ("/_secret", STRING), ("/note", STRING)):
+            bag.write(bag.add_topic(name, kind, "string data\n", ""), b"\0\1\0\0", 1, 1)
+    found = bag_to_replay(str(tmp_path / "bag"), [], 0.0, 0.0)
+    assert list(found.topics) == ["/note"]
+    assert found.warnings[0].startswith(f"/_secret, {feedback} left out: they are hidden")
+    assert list(bag_to_replay(str(tmp_path / "bag"), ["_secret"], 0.0, 0.0).topics) == ["/_secret"]
+
+
 def test_the_answers_are_in_the_namespace_of_the_samples() -> None:
     assert sibling_topic("/lab/east/measured", "brace_command") == "/lab/east/brace_command"
     assert sibling_topic("/response", "brace_command") == "/brace_command"

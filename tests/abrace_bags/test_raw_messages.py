@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from reference_messages import note
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -19,7 +20,10 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from abrace_bags import BagWriter
+from abrace_bags import BagWriter, read_topics, recover
+from abrace_bags.description import describe
+from abrace_bags.export import write_csv
+from abrace_bags.parts import TopicParts
 from abrace_bags.qos import DEFAULT_QOS
 from abrace_bags.raw import RawBag, read_raw
 from abrace_core.errors import AbraceError
@@ -241,3 +245,42 @@ def test_messages_missing_in_a_database_are_reported(tmp_path: Path) -> None:
     bag = read_raw(path)
     assert bag.count == 27
     assert bag.warnings == (f"{path}: 3 of 20 messages of /a/said are missing",)
+
+
+@pytest.mark.parametrize(
+    ("plugin", "mode"),
+    [
+        (StoragePlugin.SQLITE3, None),
+        (StoragePlugin.SQLITE3, CompressionMode.FILE),
+        (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+        (StoragePlugin.MCAP, CompressionMode.FILE),
+        (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+    ],
+)
+def test_bags_of_other_storages_are_described_read_exported_and_recovered(
+    tmp_path: Path, plugin: StoragePlugin, mode: CompressionMode | None
+) -> None:
+    texts = [f"text {k}" for k in range(300)]
+    content = [("/a/said" if k % 3 else "/b/said", note(text), 1000 + 10 * k) for k, text in enumerate(texts)]
+    path = write_theirs(tmp_path / "bag", content, plugin, mode)
+    assert [(topic.name, topic.count) for topic in describe(path).topics] == [("/a/said", 200), ("/b/said", 100)]
+    contents = read_topics(path, ["/b/said"], 1000, 2000)
+    assert contents["/b/said"].fields["data"].tolist() == texts[:100:3]
+    assert contents["/b/said"].log_time.tolist() == list(range(1000, 2000, 30))
+    write_csv(tmp_path / "out.csv", TopicParts(path, "/a/said"))
+    rows = (tmp_path / "out.csv").read_text().splitlines()
+    assert (len(rows), rows[1]) == (201, "1010,1010,text 1")
+    assert recover(path, tmp_path / "whole").counts == {"/a/said": 200, "/b/said": 100}
+    assert read_topics(tmp_path / "whole")["/a/said"].fields["data"].tolist() == [
+        t for k, t in enumerate(texts) if k % 3
+    ]
+
+
+def test_a_bag_that_rosbags_does_not_know_names_the_command_that_converts_it(tmp_path: Path) -> None:
+    path = write_theirs(tmp_path / "bag", messages(3), StoragePlugin.SQLITE3)
+    (file,) = path.glob("*.db3")
+    with contextlib.closing(sqlite3.connect(file)) as database, database:
+        # as rosbag2 writes it for the hidden topics of actions
+        database.execute("UPDATE message_definitions SET encoding = 'unknown'")
+    with pytest.raises(AbraceError, match=rf"KeyError 'unknown'.*ros2 bag convert -i {path} -o mcap.yaml"):
+        read_raw(path)

@@ -132,7 +132,11 @@ class OtherStorage:
             raise
         except Exception as error:
             # of a damaged file rosbags raises what its database, its decompression or its own code happen to raise
-            raise AbraceError(f"{self.path}: {' '.join(str(error).split()) or type(error).__name__}") from error
+            why = f"{type(error).__name__} {' '.join(str(error).split())}".strip()
+            raise AbraceError(
+                f"{self.path}: can't be read as it is ({why}), expected MCAP: ros2 bag convert -i {self.path} "
+                "-o mcap.yaml, in mcap.yaml output_bags: [{uri: NEW_BAG, storage_id: mcap, all_topics: true, all_services: true}]"
+            ) from error
 
 
 def _channel(connection: Any) -> RecordedChannel:

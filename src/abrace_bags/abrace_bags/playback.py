@@ -38,26 +38,32 @@ _CLOCK_END = 2**31 * 10**9
 def bag_to_replay(bag: str, topics: Collection[str], start_offset: float, duration: float) -> RawBag:
     """The messages of a `bag` to replay, as `read_raw` has them.
 
-    Without `topics` the inputs of a rig are left out, with a warning: nobody moves a rig by not naming topics.
+    Without `topics` the inputs of a rig are left out, with a warning: nobody moves a rig by not naming topics. So are
+    hidden topics, those of actions and services.
 
     Raises
     ------
     AbraceError
         As `read_raw`, or if there is no message.
     """
-    left_out: set[str] = set()
+    inputs: set[str] = set()
+    hidden: set[str] = set()
 
     def refuses(channel: RecordedChannel) -> bool:
-        is_input = channel.type_name == COMMAND_TYPE or channel.topic.rpartition("/")[2] in RIG_INPUTS
-        if is_input and not topics:
-            left_out.add(channel.topic)
-        return is_input and not topics
+        name = channel.topic
+        if topics:
+            return False
+        if channel.type_name == COMMAND_TYPE or name.rpartition("/")[2] in RIG_INPUTS:
+            inputs.add(name)
+        elif "/_" in name:
+            hidden.add(name)
+        return name in inputs or name in hidden
 
     found = read_raw(bag, topics, start_offset, duration, refuses)
-    if left_out:
-        names = ", ".join(sorted(left_out))
-        warning = f"{names} left out: a rig obeys them (parameter topics replays them by name)"
-        found = replace(found, warnings=(*found.warnings, warning))
+    for left_out, why in ((inputs, "a rig obeys them"), (hidden, "they are hidden")):
+        if left_out:
+            warning = f"{', '.join(sorted(left_out))} left out: {why} (parameter topics replays them by name)"
+            found = replace(found, warnings=(*found.warnings, warning))
     if not found.count:
         why = "; ".join(["there is no message on the topics to replay", *found.warnings])
         raise AbraceError(f"bag {bag}: {why}")
