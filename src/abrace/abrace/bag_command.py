@@ -9,9 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from abrace.report.table import Table
-from abrace_bags import read_topics
-from abrace_bags.bag import topic_names
-from abrace_bags.survey import time_range
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -55,6 +52,8 @@ def bag_command(given: argparse.Namespace) -> None:
     if given.action == "info":
         print(bag_information(given.bag, given.check))
         return
+    from abrace_bags.survey import time_range
+
     for name in ("start_offset", "duration"):
         if not 0.0 <= getattr(given, name) < 1e9:
             raise AbraceError(f"--{name.replace('_', '-')}: {getattr(given, name)}, expected seconds from 0 on")
@@ -71,6 +70,8 @@ def bag_command(given: argparse.Namespace) -> None:
             write_csv(given.output, parts)
         warnings: Iterable[str] = parts.warnings
     else:
+        from abrace_bags.reader import read_topics
+
         contents = read_topics(given.bag, topics or None, begin, end)
         warnings = contents.warnings
         with _naming(given.bag):
@@ -99,6 +100,8 @@ def _naming(bag: Path) -> Iterator[None]:
 
 def _topics(bag: Path, asked: list[str]) -> list[str]:
     """The topics asked for, all if none; a leading slash may be left out."""
+    from abrace_bags.bag import topic_names
+
     available = topic_names(bag)
     topics = [topic if topic in available or topic.startswith("/") else f"/{topic}" for topic in asked]
     missing = sorted(set(topics) - available)

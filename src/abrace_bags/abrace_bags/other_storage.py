@@ -135,7 +135,7 @@ class OtherStorage:
             why = f"{type(error).__name__} {' '.join(str(error).split())}".strip()
             raise AbraceError(
                 f"{self.path}: can't be read as it is ({why}), expected MCAP: ros2 bag convert -i {self.path} "
-                "-o mcap.yaml, in mcap.yaml output_bags: [{uri: NEW_BAG, storage_id: mcap, all_topics: true, all_services: true}]"
+                "-o mcap.yaml, in mcap.yaml output_bags: [{uri: NEW_BAG, storage_id: mcap, all_topics: true}]"
             ) from error
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 PART = 10_000
 """Messages in a part."""
-PART_SIZE = 1 << 24
+PART_SIZE = 1 << 22
 """Bytes of messages in a part, about."""
 
 

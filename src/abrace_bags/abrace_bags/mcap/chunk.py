@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
     from abrace_bags.mcap.index import ChannelTable
 
-_CHUNK_HEAD = re.compile(rb"(?=\x06(.{5}\0{3}).{28}(\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4})(.{8}))", re.DOTALL)
+_CHUNK_HEAD = re.compile(rb"\x06(.{5}\0{3}).{28}(\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4})(.{8})", re.DOTALL)
 """What a chunk's record begins with: opcode, length, times, size, checksum, name of the compression, packed bytes."""
+_CHUNK_OPCODE = b"\x06"
 _HEAD_SIZE = 64
 """Bytes that hold it."""
 _SEARCH_SIZE = 1 << 22
@@ -51,8 +52,12 @@ def find_chunk(file: BinaryIO, begin: int, size: int) -> int | None:
     while begin < size:
         file.seek(begin)
         searched = file.read(_SEARCH_SIZE)
-        for match in _CHUNK_HEAD.finditer(searched):
-            offset = begin + match.start()
+        position = -1
+        while (position := searched.find(_CHUNK_OPCODE, position + 1)) >= 0:
+            match = _CHUNK_HEAD.match(searched, position)
+            if match is None:
+                continue
+            offset = begin + position
             length, packed_size = (int.from_bytes(match[group], "little") for group in (1, 3))
             if 36 + len(match[2]) + packed_size == length <= size - offset - RECORD_HEAD.size:
                 return offset

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk, Metadata
-from mcap.writer import MCAP0_MAGIC
 
 from abrace_bags.mcap.chunk import Messages, find_messages, unpack
 from abrace_bags.mcap.index import ChannelTable, MessageFilter, RecordedChannel, SummarySection, read_summary
 from abrace_bags.mcap.records import (
     FACTS_RECORD,
+    MCAP0_MAGIC,
     RECORD_HEAD,
     DamagedError,
     checked_facts,

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, Footer, MetadataIndex, Schema, Statistics
-from mcap.writer import MCAP0_MAGIC
 
-from abrace_bags.mcap.records import LARGEST_CHUNK, RECORD_HEAD, DamagedError, next_record, parse
+from abrace_bags.mcap.records import LARGEST_CHUNK, MCAP0_MAGIC, RECORD_HEAD, DamagedError, next_record, parse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING, BinaryIO, TypeVar
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Metadata, Schema
-from mcap.writer import MCAP0_MAGIC
 
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
+
+MCAP0_MAGIC = b"\x89MCAP0\r\n"
+"""At the beginning and at the end of a file; `mcap.writer`, which has it too, takes long to import."""
 
 FACTS_RECORD = "abrace"
 """Name of the metadata record that holds the run's facts."""

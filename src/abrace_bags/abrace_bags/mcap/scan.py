@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Chunk, Header
-from mcap.writer import MCAP0_MAGIC
 
 from abrace_bags.mcap.chunk import MESSAGE_HEAD_SIZE, Messages, find_chunk, find_messages, unpack, unpack_beginning
-from abrace_bags.mcap.records import LARGEST_CHUNK, RECORD_HEAD, DamagedError, next_record, parse, record_head
+from abrace_bags.mcap.records import (
+    LARGEST_CHUNK,
+    MCAP0_MAGIC,
+    RECORD_HEAD,
+    DamagedError,
+    next_record,
+    parse,
+    record_head,
+)
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
