@@ -237,8 +237,7 @@ def test_a_bag_is_replayed_recovered_and_exported_in_a_fraction_of_its_size(tmp_
     tracemalloc.start()
     try:
         assert (
-            sum(zlib.crc32(one.payload) > 0 for one in bag_to_replay(str(tmp_path / "bag"), [], 0.0, 0.0).read())
-            == 1000
+            sum(zlib.crc32(one.payload) > 0 for one in bag_to_replay(str(tmp_path / "bag"), [], 0.0, 0.0).read()) == 500
         )
         assert recover(tmp_path / "bag", tmp_path / "whole").counts == {"/note": 500}
         assert describe(tmp_path / "bag", check=True).topics[0].count == 500

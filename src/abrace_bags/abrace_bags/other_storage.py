@@ -76,7 +76,7 @@ class OtherStorage:
         return self.table.channels
 
     def chunks(self, message_filter: MessageFilter) -> Iterator[Messages]:
-        """The messages to keep, some at a time, in the order of their log times."""
+        """The messages that `message_filter` keeps, some at a time, in the order of their log times."""
         accepted = {number for number, channel in self.channels.items() if message_filter.accepts(channel)}
         self.counts, self.warnings = {}, []
         parts: list[bytes] = []
@@ -106,12 +106,12 @@ class OtherStorage:
                     )
 
     def chunks_at(self, offsets: Sequence[int], message_filter: MessageFilter) -> Iterator[Messages]:
-        """As `chunks`: there are no places, and what is in a part is read again; nothing for no `offsets`."""
+        """As `chunks` with `message_filter`, which reads everything again; nothing for no `offsets`."""
         if len(offsets):
             yield from self.chunks(message_filter)
 
     def edge(self, message_filter: MessageFilter, last: bool) -> Iterator[Messages]:
-        """The first of the messages to keep, or all."""
+        """The first messages that `message_filter` keeps, or for the `last` ones all."""
         yield from itertools.islice(self.chunks(message_filter), None if last else 1)
 
     def _chunk(self, offset: int, parts: list[bytes]) -> Messages:

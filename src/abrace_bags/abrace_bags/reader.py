@@ -227,7 +227,7 @@ def _topic(recorded: list[tuple[RecordedChannel, Stream | None]]) -> tuple[Topic
 
 
 def common_type(channels: Sequence[RecordedChannel]) -> MessageType:
-    """The type of a topic's messages, at least one channel's.
+    """The type of the messages of a topic's `channels`, at least one.
 
     Raises
     ------
@@ -247,7 +247,7 @@ def common_type(channels: Sequence[RecordedChannel]) -> MessageType:
 def decode_fitting(
     message_type: MessageType, payloads: Sequence[tuple[NDArray[np.int64], NDArray[np.void]]], count: int
 ) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_], list[str]]:
-    """Decode those of `count` messages that fit their type; parameters as for `decode`.
+    """Decode those of `count` messages that fit their type; `message_type` and `payloads` are as for `decode`.
 
     Returns
     -------

@@ -79,7 +79,7 @@ class TopicSurvey:
             self.numbers = NumberRanges()
 
     def set_edges(self, first_time: int, last_time: int, first_number: int | None) -> None:
-        """Take what is found at both ends of the topic's messages."""
+        """Take what is found at both ends: `first_time`, `last_time` [ns], and `first_number`."""
         self.first_time, self.last_time = first_time, last_time
         self.first_number = None if self.numbers is None else first_number
 
@@ -223,7 +223,7 @@ def _add(found: Survey, file: McapFile | OtherStorage, messages: Messages) -> No
 
 
 def first_time(opened: OpenedBag, accepts: Callable[[RecordedChannel], bool]) -> int | None:
-    """The least log time [ns] of the messages of a bag's accepted channels; None without a message."""
+    """The least log time [ns] of the messages of an `opened` bag's channels that `accepts`; None without a message."""
     parts = [one.log_time for file in opened.files for one in file.edge(MessageFilter(accepts), last=False)]
     return min((int(times.min()) for times in parts if times.size), default=None)
 
@@ -246,7 +246,7 @@ def time_range(
 
 
 def edges(opened: OpenedBag, name: str) -> tuple[int, int, int | None]:
-    """Least and greatest log time [ns] of a topic that has messages; `sequence` of its first message, if it has one."""
+    """Least and greatest log time [ns] of the topic `name` of an `opened` bag, and its first `sequence`, if any."""
     message_filter = MessageFilter(lambda channel: channel.topic == name)
     first = last = number = None
     for file in opened.files:
@@ -264,7 +264,7 @@ def edges(opened: OpenedBag, name: str) -> tuple[int, int, int | None]:
 
 
 def raw_messages(file: McapFile | OtherStorage, messages: Messages) -> list[RawMessage]:
-    """The messages of a chunk, one by one."""
+    """The `messages` of a chunk of a `file`, one by one."""
     known = np.isin(messages.channel_ids, list(file.channels))
     messages = messages if known.all() else messages.chosen(known)
     topics = [file.channels[number].topic for number in messages.channel_ids.tolist()]

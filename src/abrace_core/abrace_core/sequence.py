@@ -65,7 +65,7 @@ class NumberRanges:
         self._most = 1000
 
     def add(self, sequence: NDArray[Any]) -> None:
-        """Add the numbers of some messages (messages,)."""
+        """Add the `sequence` (messages,) of some messages."""
         if not sequence.size:
             return
         numbers = np.unique(sequence)

@@ -10,15 +10,14 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import zlib
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Chunk, Metadata
+from mcap.records import Chunk, Metadata
 
 from abrace_bags.mcap.chunk import Messages, find_messages, unpack
-from abrace_bags.mcap.index import ChannelTable, MessageFilter, RecordedChannel, SummarySection, read_summary
+from abrace_bags.mcap.index import ChannelTable, MessageFilter, read_summary
 from abrace_bags.mcap.records import (
     FACTS_RECORD,
     MCAP0_MAGIC,
@@ -30,7 +29,7 @@ from abrace_bags.mcap.records import (
     parse,
     record_head,
 )
-from abrace_bags.mcap.scan import Scan, message_offsets_of, unchunked_records
+from abrace_bags.mcap.scan import FileContent, Scan, message_offsets_of, unchunked_records
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-class McapFile:
+class McapFile(FileContent):
     """What is whole in an MCAP file.
 
     Where the file has its index, everything but the messages is read at once; otherwise when `chunks` has come to its
@@ -54,23 +53,7 @@ class McapFile:
     in_time_order
         Whether messages come in the order of their log times.
     indexed
-        Whether its summary section names everything in it.
-    summary, summary_damage
-        That section, if it is there and whole; what is wrong with it.
-    table
-        Channels by their ids.
-    counts
-        Messages in the chunks, kept or not, by channel id.
-    facts
-        The run's facts; None where there are none, or they are damaged.
-    metadata
-        All metadata records: texts by key, by the record's name.
-    attachments
-        Files of the run.
-    warnings
-        What is missing or can't be trusted, one sentence each.
-    uncounted
-        Whether messages may be missing and the file does not say how many.
+        Whether the summary section names everything in the file.
 
     Raises
     ------
@@ -81,11 +64,7 @@ class McapFile:
     in_time_order = False
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.summary: SummarySection | None = None
-        self.summary_damage: str | None = None
-        self._cut: Messages | None = None
-        self._clear()
+        super().__init__(path)
         with open_mcap(path) as file:
             self._size = os.fstat(file.fileno()).st_size
             try:
@@ -94,30 +73,16 @@ class McapFile:
                 self.summary_damage = str(error)
             self.indexed = self._read_indexed_records(file)
 
-    def _clear(self) -> None:
-        """Forget what was read."""
-        self.table = ChannelTable()
-        self.counts: dict[int, int] = {}
-        self.facts: dict[str, str] | None = None
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.attachments: list[Attachment] = []
-        self.warnings: list[str] = []
-        self.uncounted = False
-        self._without_checksum = self._untimed = 0
-        self._refused: tuple[MessageFilter | None, int, set[int]] = None, 0, set()
-
     @property
     def paths(self) -> list[Path]:
         """The file, in a list."""
         return [self.path]
 
-    @property
-    def channels(self) -> dict[int, RecordedChannel]:
-        """By channel id."""
-        return self.table.channels
-
     def chunks(self, message_filter: MessageFilter) -> Iterator[Messages]:
-        """The messages to keep, chunk by chunk in the order of the file; those of unknown channels are among them."""
+        """The messages that `message_filter` keeps, chunk by chunk in the order of the file.
+
+        Those of unknown channels are among them.
+        """
         delivered: set[int] = set()
         if self.indexed and self.summary is not None:
             chunks = self.summary.chunks
@@ -130,7 +95,7 @@ class McapFile:
                     self._warn_of_left_out()
                     return
         # all is asked for, there is no index, or a chunk is damaged: what is missing is known when all has been read
-        self._clear()
+        self.clear()
         with open_mcap(self.path) as file:
             scan = Scan(self, file, self._size)
             for messages in scan.chunks():
@@ -147,8 +112,8 @@ class McapFile:
         DamagedError
             If it is not whole.
         """
-        if self._cut is not None and self._cut.offset == offset:
-            return self._cut
+        if self.cut is not None and self.cut.offset == offset:
+            return self.cut
         with open_mcap(self.path) as file:
             file.seek(offset)
             opcode, body = next_record(file, self._size)
@@ -157,7 +122,7 @@ class McapFile:
             if opcode != Opcode.CHUNK:
                 raise DamagedError("is not a chunk")
             chunk = parse(Chunk, body)
-            self._without_checksum += chunk.uncompressed_crc == 0
+            self.without_checksum += chunk.uncompressed_crc == 0
             message_offsets = []
             while file.read(1) == bytes([Opcode.MESSAGE_INDEX]):
                 file.seek(-1, os.SEEK_CUR)
@@ -165,7 +130,7 @@ class McapFile:
         return find_messages(offset, unpack(chunk), message_offsets, self.table)
 
     def chunks_at(self, offsets: Iterable[int], message_filter: MessageFilter) -> Iterator[Messages]:
-        """The messages to keep of the chunks at these `offsets`, which `chunks` gave.
+        """The messages that `message_filter` keeps of the chunks at these `offsets`, which `chunks` gave.
 
         Raises
         ------
@@ -181,7 +146,7 @@ class McapFile:
                 ) from error
 
     def edge(self, message_filter: MessageFilter, last: bool) -> Iterator[Messages]:
-        """The messages to keep of as many chunks as it takes to find the first, or the last, in time."""
+        """The messages that `message_filter` keeps of as many chunks as it takes to find the first, or the `last`."""
         if not self.indexed or self.summary is None:
             yield from self.chunks(message_filter)
             return
@@ -203,43 +168,6 @@ class McapFile:
                 found = min(found, float((sign * messages.log_time).min()))
             yield messages
 
-    def warn(self, text: str) -> None:
-        """Add a warning."""
-        self.warnings.append(f"{self.path}: {text}")
-
-    def keep_cut(self, messages: Messages) -> None:
-        """Keep the messages of the chunk in which the file ends, which can't be read again."""
-        self._cut = messages
-
-    def count_chunk(self, messages: Messages, checked: bool) -> None:
-        """Count the `messages` of a chunk; whether it was `checked` with its checksum."""
-        self._without_checksum += not checked
-        counts = np.bincount(messages.channel_ids)
-        for channel_id in np.flatnonzero(counts).tolist():
-            self.counts[channel_id] = self.counts.get(channel_id, 0) + int(counts[channel_id])
-
-    def read_metadata_or_attachment(self, opcode: int, body: bytes) -> None:
-        """Keep the record.
-
-        Raises
-        ------
-        DamagedError
-            If it is not whole.
-        """
-        if opcode == Opcode.ATTACHMENT:
-            attachment = parse(Attachment, body)
-            if int.from_bytes(body[-4:], "little") not in (0, zlib.crc32(body[:-4])):
-                raise DamagedError("is an attachment that does not fit its checksum")
-            self.attachments.append(attachment)
-            return
-        record = parse(Metadata, body)
-        self.metadata[record.name] = record.metadata
-        if record.name == FACTS_RECORD:
-            try:
-                self.facts = checked_facts(self.path, record.metadata)
-            except AbraceError as error:
-                self.warnings.append(str(error))
-
     def _read_indexed_records(self, file: BinaryIO) -> bool:
         """Read what the summary section names besides chunks; False, with nothing read, if that is not all whole."""
         if self.summary is None or not self.summary.complete:
@@ -253,7 +181,7 @@ class McapFile:
                 file.seek(offset)
                 self.read_metadata_or_attachment(*next_record(file, self._size))
         except DamagedError:
-            self._clear()
+            self.clear()
             return False
         return True
 
@@ -269,8 +197,8 @@ class McapFile:
         return kept
 
     def _warn_of_left_out(self) -> None:
-        if self._without_checksum:
-            self.warn(f"{self._without_checksum} chunks have no checksum: damage in them would not be noticed")
+        if self.without_checksum:
+            self.warn(f"{self.without_checksum} chunks have no checksum: damage in them would not be noticed")
         if self._untimed:
             self.warn(f"{self._untimed} messages are left out: their times are 2^63 ns or more, after the year 2262")
 

@@ -123,7 +123,7 @@ class ChunkTable:
         self.held.append(self._known[ids])
 
     def matching(self, message_filter: MessageFilter, channels: Mapping[int, RecordedChannel]) -> NDArray[np.intp]:
-        """Numbers of the chunks that may hold messages to keep, in the order of the file; `channels` are the file's."""
+        """Numbers of the chunks in which `message_filter` may keep messages of the file's `channels`, in its order."""
         refused = {number for number, channel in channels.items() if not message_filter.accepts(channel)}
         wanted = {held: not held or bool(held - refused) for held in set(self.held)}
         matching = np.array([wanted[held] for held in self.held], bool)

@@ -8,14 +8,17 @@ from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Chunk, Header
+from mcap.records import Attachment, Chunk, Header, Metadata
 
 from abrace_bags.mcap.chunk import MESSAGE_HEAD_SIZE, Messages, find_chunk, find_messages, unpack, unpack_beginning
+from abrace_bags.mcap.index import ChannelTable
 from abrace_bags.mcap.records import (
+    FACTS_RECORD,
     LARGEST_CHUNK,
     MCAP0_MAGIC,
     RECORD_HEAD,
     DamagedError,
+    checked_facts,
     next_record,
     parse,
     record_head,
@@ -24,21 +27,111 @@ from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from abrace_bags.mcap.file_reader import McapFile
-    from abrace_bags.mcap.index import MessageFilter
+    from abrace_bags.mcap.index import MessageFilter, RecordedChannel, SummarySection
 
 _DATA_END_SIZE = RECORD_HEAD.size + 4
 _UNCHUNKED_SIZE = 1 << 20
 """Bytes of messages outside chunks that are read at a time."""
 
 
+class FileContent:
+    """What is found in an MCAP file.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Attributes
+    ----------
+    summary, summary_damage
+        The summary section, if it is there and whole; what is wrong with it.
+    table
+        Channels by their ids.
+    counts
+        Messages in the chunks, kept or not, by channel id.
+    facts
+        The run's facts; None where there are none, or they are damaged.
+    metadata
+        All metadata records: texts by key, by the record's name.
+    attachments
+        Files of the run.
+    warnings
+        What is missing or can't be trusted, one sentence each.
+    uncounted
+        Whether messages may be missing and the file does not say how many.
+    cut
+        The messages of the chunk in which the file ends, which can't be read again.
+    without_checksum
+        How many chunks have none.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.summary: SummarySection | None = None
+        self.summary_damage: str | None = None
+        self.cut: Messages | None = None
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget what was read."""
+        self.table = ChannelTable()
+        self.counts: dict[int, int] = {}
+        self.facts: dict[str, str] | None = None
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.attachments: list[Attachment] = []
+        self.warnings: list[str] = []
+        self.uncounted = False
+        self.without_checksum = self._untimed = 0
+        self._refused: tuple[MessageFilter | None, int, set[int]] = None, 0, set()
+
+    @property
+    def channels(self) -> dict[int, RecordedChannel]:
+        """By channel id."""
+        return self.table.channels
+
+    def warn(self, text: str) -> None:
+        """Add a warning, the `text`."""
+        self.warnings.append(f"{self.path}: {text}")
+
+    def count_chunk(self, messages: Messages, checked: bool) -> None:
+        """Count the `messages` of a chunk; whether it was `checked` with its checksum."""
+        self.without_checksum += not checked
+        counts = np.bincount(messages.channel_ids)
+        for channel_id in np.flatnonzero(counts).tolist():
+            self.counts[channel_id] = self.counts.get(channel_id, 0) + int(counts[channel_id])
+
+    def read_metadata_or_attachment(self, opcode: int, body: bytes) -> None:
+        """Keep the record with this `opcode` and `body`.
+
+        Raises
+        ------
+        DamagedError
+            If it is not whole.
+        """
+        if opcode == Opcode.ATTACHMENT:
+            attachment = parse(Attachment, body)
+            if int.from_bytes(body[-4:], "little") not in (0, zlib.crc32(body[:-4])):
+                raise DamagedError("is an attachment that does not fit its checksum")
+            self.attachments.append(attachment)
+            return
+        record = parse(Metadata, body)
+        self.metadata[record.name] = record.metadata
+        if record.name == FACTS_RECORD:
+            try:
+                self.facts = checked_facts(self.path, record.metadata)
+            except AbraceError as error:
+                self.warnings.append(str(error))
+
+
 class Scan:
     """Reads an MCAP file from its beginning to its end, whatever is damaged; what it finds goes to a `found` file."""
 
-    def __init__(self, found: McapFile, file: BinaryIO, size: int) -> None:
+    def __init__(self, found: FileContent, file: BinaryIO, size: int) -> None:
         self._found, self._file, self._size = found, file, size
         self._summary = found.summary
         self._chunk: tuple[int, Chunk] | None = None
@@ -80,7 +173,7 @@ class Scan:
             self._found.warn("damaged between its chunks: the checksum of the data section does not fit")
 
     def finish(self, message_filter: MessageFilter) -> None:
-        """Warn of the messages that are missing, by topic, and of those whose topic is not known."""
+        """Warn of missing messages that `message_filter` would keep, by topic, and of those of unknown topics."""
         self._file.seek(0)
         if self._file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
             self._found.warn("the magic at its beginning is damaged")
@@ -170,7 +263,7 @@ class Scan:
         count = len(messages.begins)
         if count and (len(records) != chunk.uncompressed_size or zlib.crc32(records) != chunk.uncompressed_crc):
             self._found.warn(f"{count} messages of the chunk that is cut off are read without its checksum")
-        self._found.keep_cut(messages)
+        self._found.cut = messages
         self._found.count_chunk(messages, True)
         yield messages
 
@@ -212,7 +305,7 @@ class Scan:
 
 
 def unchunked_records(file: BinaryIO, offset: int, size: int) -> bytes:
-    """Message records outside chunks from `offset` on, up to about `_UNCHUNKED_SIZE` bytes of them."""
+    """Message records outside chunks of a `file` of `size` bytes from `offset` on, about `_UNCHUNKED_SIZE` bytes."""
     end = offset
     while end - offset < _UNCHUNKED_SIZE:
         file.seek(end)
@@ -228,7 +321,7 @@ def unchunked_records(file: BinaryIO, offset: int, size: int) -> bytes:
 
 
 def message_offsets_of(body: bytes) -> NDArray[np.int64]:
-    """Where messages begin in their chunk, from the content of a message index."""
+    """Where messages begin in their chunk, from the `body` of a message index."""
     size = int.from_bytes(body[2:6], "little")
     if len(body) < 6 or size % 16 or size != len(body) - 6:
         raise DamagedError("has lengths that don't fit")

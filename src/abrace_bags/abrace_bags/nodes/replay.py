@@ -36,7 +36,12 @@ from abrace_interfaces.msg import BraceCommand
 
 PARAMETERS = [
     Parameter("bag", "", "bag to replay: a directory or a file", required=True),
-    Parameter("topics", [], "topics to replay, whole names or ends of them; empty: all that no rig obeys", element=str),
+    Parameter(
+        "topics",
+        [],
+        "topics to replay, whole names or ends of them; empty: all but hidden ones and those a rig obeys",
+        element=str,
+    ),
     Parameter("rate", 1.0, "bag time over time; not in lockstep", minimum=0.001, maximum=1e6),
     Parameter("loop", False, "begin again at the end"),
     Parameter("start_offset", 0.0, "s after the first of the messages, where to begin", minimum=0.0, maximum=1e9),
