@@ -3,6 +3,7 @@
 kills, opened       loggers killed at random moments, and bags of theirs that could be read
 missing             messages that those bags lack before their end
 worst_gap_seconds   from a bag's last message to the kill, the worst topic of all
+info                seconds and peak megabytes of `abrace bag info` of 1 GB, as `bag_information.py` has them
 damaged_files, tracebacks, wrong_values, unreported, least_read, read_fraction   as `bag_damage.py` has them
 """
 
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bag_damage import damage
+from bag_information import bag_information, information_claims
 from claims import Claim
 from isolation import isolated
 from logger_endurance import NUMBERED, RATE, kills, logger_command, publishers, running, stop
@@ -25,17 +27,20 @@ DAMAGED_BAG = 4.0
 
 def verify_bags() -> tuple[dict[str, Any], list[Claim]]:
     """Values for verify.json, and claims."""
-    progress = Progress(2)
+    progress = Progress(3)
     with isolated():
         with progress.step("loggers killed") as shown:
             values = kills(KILLS, shown=shown)
         with progress.step("damaged files read") as shown:
             values |= damage(recorded_bag(Path("bag")), shown=shown)
+    with progress.step("a bag of 1 GB"):
+        values |= bag_information()
     claims = [
         Claim("bags: killed loggers whose bag opens", values["opened"], KILLS, f"{KILLS} killed", least=True),
         Claim("bags: messages missing before a bag's end", values["missing"], 0, "-"),
         Claim("bags: from a bag's end to the kill, s", values["worst_gap_seconds"], 0.2, "-"),
         *damage_claims(values),
+        *information_claims(values),
     ]
     return values, claims
 

@@ -56,7 +56,7 @@ NODES = {
         "validate": "Offline: a bag against its simulation by a model.",
     },
     "abrace": {
-        "supervisor": "Takes `diagnostics`; configures and activates the rig of a launch: launch.md. Ends with code "
+        "supervisor": "Takes `/diagnostics`; configures and activates the rig of a launch: launch.md. Ends with code "
         "1 if nodes did not find each other, or a fault or a broken-off signal came in between.",
     },
     "abrace_lqg": {

@@ -17,7 +17,15 @@ from abrace_bags.mcap.attachments import file_attachments
 if TYPE_CHECKING:
     from pathlib import Path
 
-DEFINITION = "uint64 sequence\nfloat64 force\n"
+HEADER = "std_msgs/Header header"
+STAMP = "builtin_interfaces/Time stamp\nstring frame_id\n"
+TIME = "int32 sec\nuint32 nanosec\n"
+NESTED = "".join(
+    f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in (("std_msgs/Header", STAMP), ("builtin_interfaces/Time", TIME))
+)
+DEFINITION = f"{HEADER}\nuint64 sequence\nfloat64 force\n{NESTED}"
+PREFIX = b"\0\1\0\0" + np.array([0, 0, 4], "<u4").tobytes() + b"rig\0"
+"""Of every message: encapsulation and header."""
 
 
 @pytest.fixture
@@ -27,7 +35,7 @@ def bag(tmp_path: Path) -> Path:
     with BagWriter(tmp_path / "bag", {"rig": "ncree"}, attachments=attached) as bag:
         topic = bag.add_topic("/force", "test_msgs/msg/Force", DEFINITION, "")
         for k in (0, 1, 2, 5):
-            bag.write(topic, b"\0\1\0\0" + np.uint64(k).tobytes() + np.float64(k / 3).tobytes(), 10**9 * k, 10**9 * k)
+            bag.write(topic, PREFIX + np.uint64(k).tobytes() + np.float64(k / 3).tobytes(), 10**9 * k, 10**9 * k)
     return tmp_path / "bag"
 
 
@@ -35,7 +43,7 @@ def test_info_tells_topics_gaps_and_facts(bag: Path, capsys: pytest.CaptureFixtu
     assert main(["bag", "info", str(bag)]) == 0
     lines = capsys.readouterr().out.splitlines()
     (row,) = (line.split() for line in lines if line.startswith("/force"))
-    assert row == ["/force", "test_msgs/msg/Force", "4", "0.60", "1", "2", "0"]
+    assert row == ["/force", "test_msgs/msg/Force", "4", "0.60", "0", "1", "2", "0"]
     assert "rig: ncree" in lines
     assert "attachment lqg3.yaml: 11 bytes" in lines
     assert any(line.startswith("5.000 s from 1970-01-01") for line in lines)
@@ -72,7 +80,7 @@ def test_topic_whose_name_has_no_slash_is_found(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", {}) as bag:
         for name in ("imu", "/force"):
             topic = bag.add_topic(name, "test_msgs/msg/Force", DEFINITION, "")
-            bag.write(topic, b"\0\1\0\0" + bytes(16), 1, 1)
+            bag.write(topic, PREFIX + bytes(16), 1, 1)
     for name in ("imu", "force", "/force"):
         assert main(["bag", "csv", str(tmp_path / "bag"), name, "--output", str(tmp_path / "out.csv")]) == 0
     assert main(["bag", "csv", str(tmp_path / "bag"), "/imu", "--output", str(tmp_path / "out.csv")]) == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import struct
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,7 +55,7 @@ def test_description_counts_rates_and_gaps(bag: Path) -> None:
 
 def test_csv_keeps_every_digit(bag: Path, tmp_path: Path) -> None:
     contents = read_topics(bag)
-    write_csv(tmp_path / "out.csv", contents["/rig/response"])
+    write_csv(tmp_path / "out.csv", [contents["/rig/response"]])
     with (tmp_path / "out.csv").open(newline="") as file:
         header, *rows = csv.reader(file)
     assert header[:2] == ["log_time", "publish_time"]
@@ -63,7 +64,7 @@ def test_csv_keeps_every_digit(bag: Path, tmp_path: Path) -> None:
     for name, column in columns(contents["/rig/response"]).items():
         text = [row[header.index(name)] for row in rows]
         np.testing.assert_array_equal(np.array(text).astype(column.dtype), column)
-    write_csv(tmp_path / "note.csv", contents["/note"])
+    write_csv(tmp_path / "note.csv", [contents["/note"]])
     with (tmp_path / "note.csv").open(newline="") as file:
         assert [row[2] for row in csv.reader(file)] == ["data", 'a "word", a comma', ""]
 
@@ -81,11 +82,13 @@ def test_mat_has_every_value_under_names_that_matlab_takes(bag: Path, tmp_path: 
 
 def test_sequences_at_both_ends_of_their_range_are_counted(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "ends", {}) as bag:
-        topic = bag.add_topic("/ends", "test_msgs/msg/Ends", "uint64 sequence\n", "")
+        topic = bag.add_topic("/ends", "test_msgs/msg/Ends", "std_msgs/Header header\nuint64 sequence\n", "")
         for sequence in (0, 2**64 - 1):
-            bag.write(topic, b"\0\1\0\0" + sequence.to_bytes(8, "little"), 1, 1)
-    (ends,) = describe(tmp_path / "ends").topics
-    assert (ends.gaps, ends.missing) == (1, 2**64 - 2)
+            header = b"\0\1\0\0" + struct.pack("<iII8x", 0, 0, 4)[:16]
+            bag.write(topic, header + sequence.to_bytes(8, "little"), 1, 1)
+    for check in (False, True):
+        (ends,) = describe(tmp_path / "ends", check).topics
+        assert (ends.first, ends.gaps, ends.missing) == (0, 1, 2**64 - 2)
 
 
 def arrays(**fields: Any) -> TopicArrays:
@@ -97,7 +100,7 @@ def test_what_no_table_can_hold_is_refused(tmp_path: Path) -> None:
     ragged = np.empty(3, object)
     ragged[:] = [np.zeros(1), np.zeros(2), np.zeros(1)]
     with pytest.raises(AbraceError, match="values has not the same length in all messages"):
-        write_csv(tmp_path / "out.csv", arrays(values=ragged))
+        write_csv(tmp_path / "out.csv", [arrays(values=ragged)])
     with pytest.raises(AbraceError, match="are both a_b in MATLAB"):
         write_mat(tmp_path / "out.mat", {"/a/b": arrays(x=[1, 2, 3]), "/a_b": arrays(x=[1, 2, 3])}, {})
     assert list(tmp_path.iterdir()) == []
@@ -114,7 +117,7 @@ def test_times_of_the_bag_and_of_its_messages_are_kept_apart(tmp_path: Path) -> 
 
 def test_texts_of_very_different_lengths_are_written_too(tmp_path: Path) -> None:
     texts = np.array(["short", "x" * 1000, ""], object)
-    write_csv(tmp_path / "out.csv", arrays(data=texts))
+    write_csv(tmp_path / "out.csv", [arrays(data=texts)])
     with (tmp_path / "out.csv").open(newline="") as file:
         assert [row[2] for row in csv.reader(file)] == ["data", *texts]
     write_mat(tmp_path / "out.mat", {"/texts": arrays(data=texts)}, {})

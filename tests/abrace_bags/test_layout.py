@@ -19,11 +19,13 @@ def module_path(name: str) -> Path | None:
 
 
 def imported(path: Path) -> set[str]:
-    """Modules that a module imports when it runs, so not for types alone."""
+    """Modules that a module imports with itself, so not for types alone, nor for other storages than MCAP."""
     found = set()
     to_visit: list[ast.AST] = [ast.parse(path.read_text())]
     while to_visit:
         node = to_visit.pop()
+        if isinstance(node, ast.FunctionDef):
+            continue
         if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
             to_visit += node.orelse
             continue
@@ -49,10 +51,10 @@ def modules_from(name: str) -> set[str]:
     return modules
 
 
-def test_reading_a_bag_passes_at_most_seven_modules() -> None:
+def test_reading_an_mcap_bag_passes_at_most_nine_modules() -> None:
     modules = modules_from("abrace_bags.reader")
     assert "abrace_bags.mcap.records" in modules, "the walk finds what is imported in turn"
-    assert len(modules) <= 7, sorted(modules)
+    assert len(modules) <= 9, sorted(modules)
 
 
 def test_no_class_has_the_name_of_a_record_of_mcap() -> None:

@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import pytest
 from rosbags.interfaces import QosDurability
 
-from abrace_bags import message_definition
+from abrace_bags import BagWriter, message_definition
 from abrace_bags.playback import (
     Answers,
     BagPlayback,
+    bag_to_replay,
     check_clock,
     check_type,
-    excerpt,
     replayed_qos,
     response_topic,
     sibling_topic,
-    without_commands,
 )
 from abrace_bags.qos import DEFAULT_QOS, UNKNOWN_QOS
-from abrace_bags.raw import RawBag, RawMessage, RecordedTopic
+from abrace_bags.raw import RawBag, RecordedTopic
+from abrace_bags.survey import RawMessage
 from abrace_core.errors import AbraceError
 from abrace_core.wire import BraceCommands, Responses
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
 BEGIN = 1_795_000_000_000_000_000
 RESPONSE, COMMAND, STRING = (
@@ -35,9 +37,20 @@ RESPONSE, COMMAND, STRING = (
 )
 
 
-def messages(*milliseconds: int) -> list[RawMessage]:
+def recorded(content: Sequence[RawMessage], found: dict[str, RecordedTopic] | None = None) -> RawBag:
+    """A bag of these messages."""
+    counts = Counter(message.topic for message in content)
+    times = [message.log_time for message in content]
+    return RawBag(found or {}, lambda: iter(content), counts, min(times), max(times), ())
+
+
+def note(time: int, payload: bytes = b"", topic: str = "/note") -> RawMessage:
+    return RawMessage(topic, payload, time, time)
+
+
+def messages(*milliseconds: int) -> RawBag:
     """Messages of these times, with their numbers as bytes."""
-    return [RawMessage("/note", bytes([k]), BEGIN + time * 1_000_000) for k, time in enumerate(milliseconds)]
+    return recorded([note(BEGIN + time * 1_000_000, bytes([k])) for k, time in enumerate(milliseconds)])
 
 
 def topics(**types: str) -> dict[str, RecordedTopic]:
@@ -45,25 +58,44 @@ def topics(**types: str) -> dict[str, RecordedTopic]:
     return {f"/lab/{name}": RecordedTopic(f"/lab/{name}", kind, "", UNKNOWN_QOS) for name, kind in types.items()}
 
 
-def times(part: Sequence[RawMessage]) -> list[int]:
-    return [(message.log_time - BEGIN) // 1_000_000 for message in part]
+def write_notes(directory: Path, times: Sequence[int], flush: bool = False) -> Path:
+    with BagWriter(directory, {}) as bag:
+        topic = bag.add_topic("/note", STRING, "string data\n", "")
+        for time in times:
+            bag.write(topic, b"\0\1\0\0", BEGIN + time * 1_000_000, 0)
+            if flush:
+                bag.flush()
+    return directory
 
 
-def test_an_excerpt_begins_at_its_offset_and_ends_before_its_end() -> None:
-    whole = messages(0, 10, 10, 20, 30)
-    assert times(excerpt(whole, 0.0, 0.0)) == [0, 10, 10, 20, 30]
-    assert times(excerpt(whole, 0.01, 0.0)) == [10, 10, 20, 30]
-    assert times(excerpt(whole, 0.005, 0.015)) == [10, 10]
-    assert times(excerpt(whole, 0.0, 1.0)) == [0, 10, 10, 20, 30]
+def times(bag: RawBag) -> list[int]:
+    return [(message.log_time - BEGIN) // 1_000_000 for message in bag.read()]
 
 
-def test_an_excerpt_without_a_message_is_refused() -> None:
+@pytest.mark.parametrize("flush", [False, True])
+def test_a_part_begins_at_its_offset_and_ends_before_its_end(tmp_path: Path, flush: bool) -> None:
+    path = write_notes(tmp_path / "bag", (0, 10, 10, 20, 30), flush)
+    for offset, duration, expected in (
+        (0.0, 0.0, [0, 10, 10, 20, 30]),
+        (0.01, 0.0, [10, 10, 20, 30]),
+        (0.005, 0.015, [10, 10]),
+        (0.0, 1.0, [0, 10, 10, 20, 30]),
+    ):
+        part = bag_to_replay(str(path), [], offset, duration)
+        assert times(part) == expected
+        assert part.count == len(expected)
+        assert [part.first, part.last] == [BEGIN + expected[k] * 1_000_000 for k in (0, -1)]
+
+
+def test_a_part_without_a_message_is_refused(tmp_path: Path) -> None:
+    path = str(write_notes(tmp_path / "bag", (0, 30)))
     with pytest.raises(AbraceError, match=r"no message from 0.031 s to the end, its messages span 0.030 s"):
-        excerpt(messages(0, 30), 0.031, 0.0)
+        bag_to_replay(path, [], 0.031, 0.0)
     with pytest.raises(AbraceError, match=r"no message from 0.01 s to 0.02 s"):
-        excerpt(messages(0, 30), 0.01, 0.01)
-    with pytest.raises(AbraceError, match="no message on the topics"):
-        excerpt([], 0.0, 0.0)
+        bag_to_replay(path, ["note"], 0.01, 0.01)
+    for offset in (0.0, 1.0):
+        with pytest.raises(AbraceError, match="no message on the topics"):
+            bag_to_replay(str(write_notes(tmp_path / f"empty{offset}", ())), [], offset, 0.0)
 
 
 @pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
@@ -151,12 +183,12 @@ def test_a_sample_waits_for_the_command_with_its_number() -> None:
     responses, commands = Responses(), BraceCommands()
     samples = [responses.pack(0, number, [0.0], [0.0], [0.0], [0.0], [0.0], 0.0) for number in (41, 42)]
     content = [
-        RawMessage("/lab/note", b"anything", BEGIN),
-        RawMessage("/lab/response", samples[0], BEGIN),
-        RawMessage("/lab/response", samples[1], BEGIN + 1),
-        RawMessage("/lab/note", b"the last", BEGIN + 2),
+        note(BEGIN, b"anything", "/lab/note"),
+        note(BEGIN, samples[0], "/lab/response"),
+        note(BEGIN + 1, samples[1], "/lab/response"),
+        note(BEGIN + 2, b"the last", "/lab/note"),
     ]
-    playback, answers = BagPlayback(content, 1.0, loop=False), Answers("/lab/response")
+    playback, answers = BagPlayback(recorded(content), 1.0, loop=False), Answers("/lab/response")
     assert answers.missing is None
     assert list(answers.next_messages(playback)) == content[:2]
     assert answers.missing == 41
@@ -171,11 +203,11 @@ def test_a_sample_waits_for_the_command_with_its_number() -> None:
 
 
 def test_a_time_that_a_clock_cannot_hold_is_refused() -> None:
-    check_clock("bag", topics(note=STRING), messages(0, 10))
+    check_clock("bag", recorded([note(BEGIN)], topics(note=STRING)))
     with pytest.raises(AbraceError, match="parameter clock: /clock can't have the times of bag, expected 1970 to 2038"):
-        check_clock("bag", {}, [RawMessage("/note", b"", 2**31 * 10**9)])
+        check_clock("bag", recorded([note(2**31 * 10**9)]))
     with pytest.raises(AbraceError, match="parameter clock: /clock of the bag is replayed"):
-        check_clock("bag", {"/clock": RecordedTopic("/clock", STRING, "", UNKNOWN_QOS)}, messages(0))
+        check_clock("bag", recorded([note(BEGIN)], {"/clock": RecordedTopic("/clock", STRING, "", UNKNOWN_QOS)}))
 
 
 def test_a_topic_is_replayed_with_its_qos_but_no_small_depth() -> None:
@@ -187,23 +219,23 @@ def test_a_topic_is_replayed_with_its_qos_but_no_small_depth() -> None:
 
 
 def test_the_topic_of_responses_is_found_and_has_to_be_the_only_one() -> None:
-    sample = [RawMessage("/lab/response", b"", BEGIN)]
-    assert response_topic(topics(response=RESPONSE, note=STRING), sample) == "/lab/response"
+    sample = [note(BEGIN, topic="/lab/response")]
+    assert response_topic(recorded(sample, topics(response=RESPONSE, note=STRING))) == "/lab/response"
     with pytest.raises(AbraceError, match=r"2 topics of .* to replay \(/lab/one, /lab/two\), expected one"):
-        response_topic(topics(two=RESPONSE, one=RESPONSE), sample)
+        response_topic(recorded(sample, topics(two=RESPONSE, one=RESPONSE)))
     with pytest.raises(AbraceError, match=r"0 topics of .* to replay \(none\), expected one"):
-        response_topic(topics(note=STRING), sample)
+        response_topic(recorded(sample, topics(note=STRING)))
     with pytest.raises(AbraceError, match="/lab/brace_command answers /lab/response and can't be replayed as well"):
-        response_topic(topics(response=RESPONSE, brace_command=COMMAND), sample)
+        response_topic(recorded(sample, topics(response=RESPONSE, brace_command=COMMAND)))
 
 
 def test_a_part_without_a_response_has_nothing_to_answer() -> None:
     with pytest.raises(AbraceError, match="parameter lockstep: no message of /lab/response in the part"):
-        response_topic(topics(response=RESPONSE, note=STRING), [RawMessage("/lab/note", b"", BEGIN)])
+        response_topic(recorded([note(BEGIN)], topics(response=RESPONSE, note=STRING)))
 
 
-def test_inputs_of_a_rig_are_left_out_with_a_warning() -> None:
-    recorded = topics(
+def test_inputs_of_a_rig_are_left_out_with_a_warning(tmp_path: Path) -> None:
+    names = topics(
         response=RESPONSE,
         brace_command=COMMAND,
         force=COMMAND,
@@ -211,16 +243,29 @@ def test_inputs_of_a_rig_are_left_out_with_a_warning() -> None:
         emergency_stop=STRING,
         note=STRING,
     )
-    content = [RawMessage(name, b"", BEGIN + k) for k, name in enumerate(recorded)]
-    bag = without_commands(RawBag(recorded, content, ("first",)))
-    assert list(bag.topics) == ["/lab/response", "/lab/note"]
-    assert [message.topic for message in bag.messages] == ["/lab/response", "/lab/note"]
-    assert bag.warnings[0] == "first"
-    assert bag.warnings[1].startswith(
-        "/lab/brace_command, /lab/emergency_stop, /lab/force, /lab/ground_motion left out: a rig obeys them"
-    )
-    harmless = RawBag(topics(note=STRING), content[-1:], ())
-    assert without_commands(harmless) == harmless
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        for k, (name, topic) in enumerate(names.items()):
+            bag.write(bag.add_topic(name, topic.type_name, "string data\n", ""), b"\0\1\0\0", k, k)
+    found = bag_to_replay(str(tmp_path / "bag"), [], 0.0, 0.0)
+    assert list(found.topics) == ["/lab/response", "/lab/note"]
+    assert [message.topic for message in found.read()] == ["/lab/response", "/lab/note"]
+    assert found.count == 2
+    (warning,) = found.warnings
+    left_out = "/lab/brace_command, /lab/emergency_stop, /lab/force, /lab/ground_motion"
+    assert warning.startswith(f"{left_out} left out: a rig obeys them")
+    by_name = bag_to_replay(str(tmp_path / "bag"), ["force", "note"], 0.0, 0.0)
+    assert (list(by_name.topics), by_name.warnings) == (["/lab/force", "/lab/note"], ())
+
+
+def test_hidden_topics_are_left_out_unless_they_are_named(tmp_path: Path) -> None:
+    feedback = "/lab/ground_motion/_action/feedback"
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        for name, kind in ((feedback, "lab_msgs/action/Play_FeedbackMessage"), ("/_secret", STRING), ("/note", STRING)):
+            bag.write(bag.add_topic(name, kind, "string data\n", ""), b"\0\1\0\0", 1, 1)
+    found = bag_to_replay(str(tmp_path / "bag"), [], 0.0, 0.0)
+    assert list(found.topics) == ["/note"]
+    assert found.warnings[0].startswith(f"/_secret, {feedback} left out: they are hidden")
+    assert list(bag_to_replay(str(tmp_path / "bag"), ["_secret"], 0.0, 0.0).topics) == ["/_secret"]
 
 
 def test_the_answers_are_in_the_namespace_of_the_samples() -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from reference_messages import note
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -19,9 +20,12 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from abrace_bags import BagWriter
+from abrace_bags import BagWriter, read_topics, recover
+from abrace_bags.description import describe
+from abrace_bags.export import write_csv
+from abrace_bags.parts import TopicParts
 from abrace_bags.qos import DEFAULT_QOS
-from abrace_bags.raw import read_raw
+from abrace_bags.raw import RawBag, read_raw
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -43,6 +47,14 @@ def messages(count: int = 300) -> list[Message]:
     """Messages of two topics in the order of their times: of random bytes and lengths."""
     random = np.random.default_rng(1)
     return [("/a/said" if k % 3 else "/b/said", random.bytes(1 + k % 7), 1000 + 10 * k) for k in range(count)]
+
+
+def wire(bag: RawBag) -> list[Message]:
+    """Topics, bytes and log times of a bag's messages, which are as many as it says."""
+    found = [message[:3] for message in bag.read()]
+    assert len(found) == bag.count
+    assert (found[0][2], found[-1][2]) == (bag.first, bag.last)
+    return found
 
 
 def write_ours(directory: Path, content: Sequence[Message]) -> Path:
@@ -85,7 +97,7 @@ def test_every_bag_gives_every_message_as_it_was_in_time_order(tmp_path: Path, k
         mode = CompressionMode.MESSAGE if kind.startswith("compressed") else modes.get(kind)
         write_theirs(path, shuffled, plugin, mode)
     bag = read_raw(path)
-    assert [tuple(message) for message in bag.messages] == content
+    assert wire(bag) == content
     assert all(kind == "mcap" and "have no checksum" in warning for warning in bag.warnings)
     assert set(bag.topics) == {"/a/said", "/b/said"}
     topic = bag.topics["/a/said"]
@@ -103,7 +115,7 @@ def test_messages_of_one_time_come_in_the_order_in_which_they_were_written(tmp_p
             bag.write(numbers[topic], payload, time, time)
             if k in (70, 120):
                 bag.split()
-    assert [tuple(message) for message in read_raw(tmp_path / "bag").messages] == content
+    assert wire(read_raw(tmp_path / "bag")) == content
 
 
 def test_a_clock_that_was_set_back_while_recording_is_reported(tmp_path: Path) -> None:
@@ -111,7 +123,7 @@ def test_a_clock_that_was_set_back_while_recording_is_reported(tmp_path: Path) -
     content = [("/a/said" if k % 2 else "/b/said", b"%d" % k, (k + 100) * second) for k in range(10)]
     content[7] = ("/a/said", b"7", 104 * second + 5)
     bag = read_raw(write_ours(tmp_path / "bag", content))
-    assert [message.payload for message in bag.messages] == [b"%d" % k for k in (0, 1, 2, 3, 4, 7, 5, 6, 8, 9)]
+    assert [message.payload for message in bag.read()] == [b"%d" % k for k in (0, 1, 2, 3, 4, 7, 5, 6, 8, 9)]
     (warning,) = bag.warnings
     assert "the times of /a/said step back, its messages come in the order of their times" in warning
 
@@ -119,9 +131,7 @@ def test_a_clock_that_was_set_back_while_recording_is_reported(tmp_path: Path) -
 def test_a_sqlite3_file_alone_is_a_bag(tmp_path: Path) -> None:
     content = messages(20)
     (path,) = write_theirs(tmp_path / "bag", content, StoragePlugin.SQLITE3).glob("*.db3")
-    assert [tuple(message) for message in read_raw(path, ["/b/said"]).messages] == [
-        message for message in content if message[0] == "/b/said"
-    ]
+    assert wire(read_raw(path, ["/b/said"])) == [message for message in content if message[0] == "/b/said"]
 
 
 @pytest.mark.parametrize("plugin", [None, StoragePlugin.SQLITE3])
@@ -132,7 +142,7 @@ def test_topics_are_chosen_by_whole_names_or_their_ends(tmp_path: Path, plugin: 
     for asked in ("/a/said", "a/said"):
         bag = read_raw(path, [asked])
         assert set(bag.topics) == {"/a/said"}
-        assert [tuple(message) for message in bag.messages] == [m for m in content if m[0] == "/a/said"]
+        assert wire(bag) == [m for m in content if m[0] == "/a/said"]
     with pytest.raises(AbraceError, match="topic said stands for /a/said, /b/said, name one of them"):
         read_raw(path, ["said"])
     for asked in ("aid", "/said", ""):
@@ -147,8 +157,8 @@ def test_a_bag_that_was_cut_off_gives_what_is_whole_and_says_so(tmp_path: Path) 
     file = path / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])
     bag = read_raw(path)
-    assert 5000 < len(bag.messages) < len(content)
-    assert [tuple(message) for message in bag.messages] == content[: len(bag.messages)]
+    assert 5000 < bag.count < len(content)
+    assert wire(bag) == content[: bag.count]
     assert "cut off or damaged" in bag.warnings[0]
     assert bag.topics["/a/said"].qos.durability is QosDurability.TRANSIENT_LOCAL
 
@@ -222,7 +232,7 @@ def test_a_damaged_sqlite3_bag_is_refused_or_says_what_is_missing(tmp_path: Path
         except AbraceError as error:
             refusals.append(str(error))
         else:
-            assert len(bag.messages) == len(content) or "are missing" in " ".join(bag.warnings)
+            assert bag.count == len(content) or "are missing" in " ".join(bag.warnings)
     assert refusals
     assert all(text.startswith(f"{path}: ") and "\n" not in text for text in refusals)
 
@@ -233,5 +243,44 @@ def test_messages_missing_in_a_database_are_reported(tmp_path: Path) -> None:
     with contextlib.closing(sqlite3.connect(file)) as database, database:
         database.execute("DELETE FROM messages WHERE id IN (2, 5, 6)")
     bag = read_raw(path)
-    assert len(bag.messages) == 27
+    assert bag.count == 27
     assert bag.warnings == (f"{path}: 3 of 20 messages of /a/said are missing",)
+
+
+@pytest.mark.parametrize(
+    ("plugin", "mode"),
+    [
+        (StoragePlugin.SQLITE3, None),
+        (StoragePlugin.SQLITE3, CompressionMode.FILE),
+        (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+        (StoragePlugin.MCAP, CompressionMode.FILE),
+        (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+    ],
+)
+def test_bags_of_other_storages_are_described_read_exported_and_recovered(
+    tmp_path: Path, plugin: StoragePlugin, mode: CompressionMode | None
+) -> None:
+    texts = [f"text {k}" for k in range(300)]
+    content = [("/a/said" if k % 3 else "/b/said", note(text), 1000 + 10 * k) for k, text in enumerate(texts)]
+    path = write_theirs(tmp_path / "bag", content, plugin, mode)
+    assert [(topic.name, topic.count) for topic in describe(path).topics] == [("/a/said", 200), ("/b/said", 100)]
+    contents = read_topics(path, ["/b/said"], 1000, 2000)
+    assert contents["/b/said"].fields["data"].tolist() == texts[:100:3]
+    assert contents["/b/said"].log_time.tolist() == list(range(1000, 2000, 30))
+    write_csv(tmp_path / "out.csv", TopicParts(path, "/a/said"))
+    rows = (tmp_path / "out.csv").read_text().splitlines()
+    assert (len(rows), rows[1]) == (201, "1010,1010,text 1")
+    assert recover(path, tmp_path / "whole").counts == {"/a/said": 200, "/b/said": 100}
+    assert read_topics(tmp_path / "whole")["/a/said"].fields["data"].tolist() == [
+        t for k, t in enumerate(texts) if k % 3
+    ]
+
+
+def test_a_bag_that_rosbags_does_not_know_names_the_command_that_converts_it(tmp_path: Path) -> None:
+    path = write_theirs(tmp_path / "bag", messages(3), StoragePlugin.SQLITE3)
+    (file,) = path.glob("*.db3")
+    with contextlib.closing(sqlite3.connect(file)) as database, database:
+        # as rosbag2 writes it for the hidden topics of actions
+        database.execute("UPDATE message_definitions SET encoding = 'unknown'")
+    with pytest.raises(AbraceError, match=rf"KeyError 'unknown'.*ros2 bag convert -i {path} -o mcap.yaml"):
+        read_raw(path)

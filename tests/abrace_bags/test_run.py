@@ -10,7 +10,7 @@ import pytest
 from mcap_chunks import chunk_indexes
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from abrace_bags import BagWriter, read_run
+from abrace_bags import BagWriter, read_run, read_runs
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -80,14 +80,41 @@ def test_single_sample_without_period_is_refused(tmp_path: Path) -> None:
     [
         ([3, 4, 6, 9], "sample 4 is followed by sample 6, expected 5"),
         ([3, 4, 4, 5], "sample 4 is followed by sample 4, expected 5"),
-        ([3, 2], "sample 3 is followed by sample 2, expected 4"),
+        ([3, 2], r"sample 3 is followed by sample 2 \(the rig was activated again\), expected 4"),
     ],
 )
 def test_first_gap_is_named(tmp_path: Path, sequence: list[int], complaint: str) -> None:
     bag = write(tmp_path / "bag", [response(k) for k in sequence], {"sample_period": "0.002"})
     with pytest.raises(AbraceError, match=f"bag: topic /response: {complaint}"):
         read_run(bag)
-    assert read_run(bag, whole=False).sequence.tolist() == sequence
+    assert [number for run in read_runs(bag) for number in run.sequence.tolist()] == sequence
+
+
+def test_a_rig_that_was_activated_again_gives_a_run_each_time(tmp_path: Path) -> None:
+    numbers = [*range(928, 2000), *range(1000), *range(2000)]
+    bag = write(tmp_path / "bag", [response(k) for k in numbers], {"sample_period": "0.002"})
+    runs = read_runs(bag)
+    assert [(int(run.sequence[0]), run.sequence.size) for run in runs] == [(928, 1072), (0, 1000), (0, 2000)]
+    assert [run.time[-1] for run in runs] == pytest.approx([2.142, 1.998, 3.998], rel=1e-12)
+    assert runs[1].source == f"{bag}, run 2 of 3"
+    with pytest.raises(AbraceError, match=r"sample 1999 is followed by sample 0 \(the rig was activated again\)"):
+        read_run(bag)
+
+
+@pytest.mark.parametrize("sorted_by_time", [False, True])
+def test_a_clock_that_was_set_back_costs_no_sample_and_is_reported(tmp_path: Path, sorted_by_time: bool) -> None:
+    times = [10**10 + STEP * k - 10**9 * (k >= 1000) for k in range(2000)]
+    order = np.argsort(times, kind="stable").tolist() if sorted_by_time else range(2000)
+    with BagWriter(tmp_path / "bag", {"sample_period": "0.004"}, split_size=100_000) as bag:
+        number = bag.add_topic("/response", RESPONSE, DEFINITION, "")
+        for k in order:
+            bag.write(number, bytes(STORE.serialize_cdr(response(k), RESPONSE)), times[k], times[k])
+    run = read_run(tmp_path / "bag")
+    assert run.sequence.tolist() == list(range(2000))
+    np.testing.assert_array_equal(run.ground_acceleration, np.arange(2000) / 1000)
+    (warning,) = run.facts["warnings"]
+    assert "topic /response: " in warning
+    assert ("in that of the numbers" if sorted_by_time else "the clock was set back") in warning
 
 
 @pytest.mark.parametrize("name", ["displacement", "stroke", "acceleration", "force", "command", "ground_acceleration"])

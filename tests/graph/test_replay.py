@@ -109,7 +109,7 @@ def test_a_controller_answers_the_recorded_responses_with_the_recorded_commands_
     graph: Any, run: tuple[Path, str], controller: Path
 ) -> None:
     bag, namespace = run
-    recorded = [message.payload for message in read_raw(bag, ["brace_command"]).messages]
+    recorded = [message.payload for message in read_raw(bag, ["brace_command"]).read()]
     assert len(recorded) == SAMPLES
     force = read_topics(bag)[f"{namespace}/brace_command"].fields["force"][:, 0]
     assert 50 < np.sum(np.abs(force) == LIMIT) < SAMPLES - 500, "some of the commands are cut, most are not"

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from abrace.report.table import Table
-from abrace_bags import BagContents, read_topics
-from abrace_bags.reader import topic_names
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterable, Iterator
 
 LONGEST_FACT = 100
 """Characters of a fact that are shown: rig files are facts too."""
@@ -37,50 +37,86 @@ def add_bag_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]
         elif name != "info":
             several = "+" if name == "plot" else "*"
             action.add_argument("topics", metavar="topic", nargs=several, help="such as /response")
-        if name != "info":
+        if name == "info":
+            action.add_argument("--check", action="store_true", help="read everything, to find damage in any chunk")
+        else:
+            action.add_argument(
+                "--start-offset", type=float, default=0.0, metavar="S", help="s after the first message"
+            )
+            action.add_argument("--duration", type=float, default=0.0, metavar="S", help="s from there; 0: to the end")
             action.add_argument("--output", type=Path, required=True, metavar="FILE", help="file to write")
 
 
 def bag_command(given: argparse.Namespace) -> None:
     """Carry out `abrace bag` with the arguments `given`."""
     if given.action == "info":
-        print(bag_information(given.bag))
+        print(bag_information(given.bag, given.check))
         return
-    contents = _read(given.bag, given.topics)
-    for warning in contents.warnings:
+    from abrace_bags.survey import time_range
+
+    for name in ("start_offset", "duration"):
+        if not 0.0 <= getattr(given, name) < 1e9:
+            raise AbraceError(f"--{name.replace('_', '-')}: {getattr(given, name)}, expected seconds from 0 on")
+    topics = _topics(given.bag, given.topics)
+    begin, end = time_range(
+        given.bag, lambda channel: not topics or channel.topic in topics, given.start_offset, given.duration
+    )
+    if given.action == "csv":
+        from abrace_bags.export import write_csv
+        from abrace_bags.parts import TopicParts
+
+        parts = TopicParts(given.bag, topics[0], begin, end)
+        with _naming(given.bag):
+            write_csv(given.output, parts)
+        warnings: Iterable[str] = parts.warnings
+    else:
+        from abrace_bags.reader import read_topics
+
+        contents = read_topics(given.bag, topics or None, begin, end)
+        warnings = contents.warnings
+        with _naming(given.bag):
+            if given.action == "mat":
+                from abrace_bags.export import write_mat
+
+                write_mat(given.output, contents, contents.facts)
+            else:
+                from abrace_bags.figure import bag_figure
+                from abrace_core.drawing import save_figure
+
+                save_figure(bag_figure(contents), given.output)
+    for warning in warnings:
         print(f"abrace: {warning}", file=sys.stderr)
-    try:
-        if given.action == "csv":
-            from abrace_bags.export import write_csv
-
-            write_csv(given.output, contents.popitem()[1])
-        elif given.action == "mat":
-            from abrace_bags.export import write_mat
-
-            write_mat(given.output, contents, contents.facts)
-        else:
-            from abrace_bags.figure import bag_figure
-            from abrace_core.drawing import save_figure
-
-            save_figure(bag_figure(contents), given.output)
-    except AbraceError as error:
-        raise AbraceError(f"{given.bag}: {error}") from error
     print(f"wrote {given.output}")
 
 
-def _read(bag: Path, topics: list[str]) -> BagContents:
+@contextlib.contextmanager
+def _naming(bag: Path) -> Iterator[None]:
+    """Name the `bag` in errors."""
+    try:
+        yield
+    except AbraceError as error:
+        raise AbraceError(f"{bag}: {error}") from error
+
+
+def _topics(bag: Path, asked: list[str]) -> list[str]:
     """The topics asked for, all if none; a leading slash may be left out."""
-    if not topics:
-        return read_topics(bag)
+    from abrace_bags.bag import topic_names
+
     available = topic_names(bag)
-    return read_topics(bag, [topic if topic in available or topic.startswith("/") else f"/{topic}" for topic in topics])
+    topics = [topic if topic in available or topic.startswith("/") else f"/{topic}" for topic in asked]
+    missing = sorted(set(topics) - available)
+    if missing:
+        raise AbraceError(
+            f"{bag}: no topic {missing[0]} in it, expected one of {', '.join(sorted(available)) or 'none'}"
+        )
+    return topics
 
 
-def bag_information(bag: Path) -> str:
-    """What is in a `bag`, for a person."""
+def bag_information(bag: Path, check: bool) -> str:
+    """What is in a `bag`, for a person; with `check` it is read as a whole."""
     from abrace_bags.description import describe
 
-    found = describe(bag)
+    found = describe(bag, check)
     lines = [f"{bag}: {found.files} file{'s'[: found.files != 1]}, {found.size / 1e6:.2f} MB"]
     if found.end:
         begin = datetime.fromtimestamp(1e-9 * found.begin, UTC).isoformat(sep=" ", timespec="milliseconds")
@@ -91,14 +127,20 @@ def bag_information(bag: Path) -> str:
             topic.type_name,
             str(topic.count),
             f"{topic.rate:.2f}",
+            "-" if topic.first is None else str(topic.first),
             "-" if topic.gaps is None else str(topic.gaps),
             "-" if topic.missing is None else str(topic.missing),
             "-" if topic.lost is None else str(topic.lost),
         )
         for topic in found.topics
     )
-    header = ("topic", "type", "messages", "rate [1/s]", "gaps", "missing", "lost")
+    header = ("topic", "type", "messages", "rate [1/s]", "first", "gaps", "missing", "lost")
     lines.append(Table("Topics", header, rows).text())
+    lines += [
+        f"{topic.name} begins at sample {topic.first}: what was before is not in the bag"
+        for topic in found.topics
+        if topic.first
+    ]
     lines += [f"{name}: {_shortened(text)}" for name, text in found.facts.items()]
     lines += [f"attachment {name}: {size} bytes" for name, size in found.attachments.items()]
     lines += [f"WARNING: {warning}" for warning in found.warnings]

@@ -5,12 +5,29 @@ message (`BagWriter`), and read back whole topics at a time as arrays (`read_top
 (`read_run`), also when the process that wrote it was killed; `recover` writes such a bag anew, whole.
 """
 
-from abrace_bags.definitions import MessageDefinition, message_definition
-from abrace_bags.qos import DEFAULT_QOS, offered_qos
-from abrace_bags.reader import BagContents, TopicArrays, read_facts, read_topics
-from abrace_bags.recovery import Recovered, recover
-from abrace_bags.run import read_run
-from abrace_bags.writer import BagWriter
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from abrace_bags.definitions import MessageDefinition, message_definition
+    from abrace_bags.qos import DEFAULT_QOS, offered_qos
+    from abrace_bags.reader import BagContents, TopicArrays, read_facts, read_topics
+    from abrace_bags.recovery import Recovered, recover
+    from abrace_bags.run import read_run, read_runs
+    from abrace_bags.writer import BagWriter
+
+_MODULES = {
+    "bag": ("read_facts",),
+    "definitions": ("MessageDefinition", "message_definition"),
+    "qos": ("DEFAULT_QOS", "offered_qos"),
+    "reader": ("BagContents", "TopicArrays", "read_topics"),
+    "recovery": ("Recovered", "recover"),
+    "run": ("read_run", "read_runs"),
+    "writer": ("BagWriter",),
+}
+"""Where names are defined: a module is imported when one is used, as reading needs no writer."""
 
 __all__ = [
     "DEFAULT_QOS",
@@ -23,6 +40,14 @@ __all__ = [
     "offered_qos",
     "read_facts",
     "read_run",
+    "read_runs",
     "read_topics",
     "recover",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _MODULES.items():
+        if name in names:
+            return getattr(importlib.import_module(f"abrace_bags.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -5,14 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from abrace_bags.losses import lost_messages
-from abrace_bags.reader import bag_files, read_topics, sequence_of
-from abrace_core.sequence import missing_numbers
+from abrace_bags.bag import missing_messages, open_bag
+from abrace_bags.losses import RecordedCounts, recorded_counts
+from abrace_bags.mcap.file_reader import McapFile
+from abrace_bags.survey import TopicSurvey, edges, survey
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from abrace_bags.reader import TopicArrays
+    from abrace_bags.bag import OpenedBag
 
 
 @dataclass(frozen=True)
@@ -27,10 +28,12 @@ class TopicDescription:
         Messages.
     rate
         Messages a second between the first and the last; 0 where there are fewer than two.
+    first
+        `sequence` of its first message; None for messages that do not begin with a header and one.
     gaps
-        How often `sequence` skips numbers; None for messages without one.
+        How often `sequence` skips numbers; None where `first` is.
     missing
-        Numbers that it skips in all; None for messages without a `sequence`.
+        Numbers that it skips in all; None where `first` is.
     lost
         Messages that the logger counted as lost; None where the bag has no such count.
     """
@@ -39,6 +42,7 @@ class TopicDescription:
     type_name: str
     count: int
     rate: float
+    first: int | None
     gaps: int | None
     missing: int | None
     lost: int | None
@@ -81,34 +85,65 @@ class BagDescription:
         return 1e-9 * (self.end - self.begin)
 
 
-def describe(bag: Path | str) -> BagDescription:
-    """Read a whole `bag`, a directory or a single MCAP file, and describe it.
+def describe(bag: Path | str, check: bool = False) -> BagDescription:
+    """Describe a `bag`, a directory or a single file.
+
+    That takes its index, the counts that the logger wrote at its end, and the first and the last chunk of each topic. A
+    bag that lacks some of these, as one of another writer or one that was cut off, is read chunk by chunk, and so is
+    every bag with `check`, which finds damage in any chunk.
 
     Raises
     ------
     AbraceError
         If there is no such bag or it isn't one.
     """
-    contents = read_topics(bag)
-    files = bag_files(bag)
-    times = [messages.log_time for messages in contents.values() if messages.log_time.size]
-    lost = lost_messages(contents.records)
+    opened = open_bag(bag)
+    found = None if check else _by_index(opened)
+    if found is None:
+        read = survey(bag)
+        opened, found = read.opened, list(read.topics.values())
+    recorded = recorded_counts(opened.records)
+    counted = [topic for topic in found if topic.count]
+    warnings = opened.warnings
+    if opened.uncounted:
+        warnings += [f"{bag}: {missing_messages(topic.channel.topic, topic.numbers)}" for topic in found]
+    sizes = [path.stat().st_size for path in opened.paths]
     return BagDescription(
-        topics=tuple(_topic(name, contents[name], lost.get(name)) for name in sorted(contents)),
-        begin=min((int(time.min()) for time in times), default=0),
-        end=max((int(time.max()) for time in times), default=0),
-        size=sum(path.stat().st_size for path in files),
-        files=len(files),
-        facts=contents.facts,
-        attachments={name: len(data) for name, data in contents.attachments.items()},
-        warnings=contents.warnings,
+        topics=tuple(_topic(topic, recorded) for topic in sorted(found, key=lambda topic: topic.channel.topic)),
+        begin=min((topic.first_time for topic in counted), default=0),
+        end=max((topic.last_time for topic in counted), default=0),
+        size=sum(sizes),
+        files=len(sizes),
+        facts=opened.facts,
+        attachments={attachment.name: len(attachment.data) for attachment in opened.attachments},
+        warnings=tuple(warnings),
     )
 
 
-def _topic(name: str, messages: TopicArrays, lost: int | None) -> TopicDescription:
-    time = messages.log_time
-    span = 1e-9 * int(time.max() - time.min()) if time.size > 1 else 0.0
-    sequence = sequence_of(messages)
-    gaps, missing = (None, None) if sequence is None else missing_numbers(sequence)
-    rate = (time.size - 1) / span if span else 0.0
-    return TopicDescription(name, messages.type_name, time.size, rate, gaps, missing, lost)
+def _topic(found: TopicSurvey, recorded: dict[str, RecordedCounts]) -> TopicDescription:
+    span = 1e-9 * (found.last_time - found.first_time)
+    rate = (found.count - 1) / span if span else 0.0
+    name = found.channel.topic
+    numbers = found.numbers if found.numbers is not None and found.numbers.ranges else recorded.get(name)
+    gaps, missing = (None, None) if found.first_number is None or numbers is None else (numbers.gaps, numbers.missing)
+    lost = recorded[name].lost if name in recorded else None
+    return TopicDescription(name, found.channel.type_name, found.count, rate, found.first_number, gaps, missing, lost)
+
+
+def _by_index(opened: OpenedBag) -> list[TopicSurvey] | None:
+    """What the topics have, from the index and the logger's counts; None where these do not say it, or are damaged."""
+    counted = recorded_counts(opened.records)
+    found: dict[str, TopicSurvey] = {}
+    for file in opened.files:
+        if not isinstance(file, McapFile) or not file.indexed or file.summary is None:
+            return None
+        for number, channel in file.channels.items():
+            topic = found.setdefault(channel.topic, TopicSurvey(channel))
+            topic.count += (file.summary.message_counts or {}).get(number, 0)
+    for name, topic in found.items():
+        if topic.count:
+            topic.set_edges(*edges(opened, name))
+        # the numbers themselves are in no index: the logger's counts hold if they are of the same messages
+        if topic.numbers is not None and (name not in counted or counted[name].messages != topic.count):
+            return None
+    return None if any(file.warnings for file in opened.files) else list(found.values())

@@ -14,13 +14,15 @@ from abrace_core.errors import AbraceError
 from abrace_core.files import write_atomically
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from abrace_bags.reader import TopicArrays
 
+_LARGEST_VARIABLE = 2**31
+"""Bytes of a variable in a MATLAB file of version 5, which is written as a whole."""
 _LONGEST_NAME = 63
 """Characters of a MATLAB name."""
 
@@ -49,19 +51,33 @@ def columns(messages: TopicArrays) -> dict[str, NDArray[Any]]:
     return table
 
 
-def write_csv(path: Path | str, messages: TopicArrays) -> None:
-    """Write a topic's `messages` as comma-separated values, a header line and a line each; no digit is lost.
+def write_csv(path: Path | str, parts: Iterable[TopicArrays]) -> None:
+    """Write a topic's messages as comma-separated values, a header line and a line each; no digit is lost.
+
+    Parameters
+    ----------
+    path
+        The file.
+    parts
+        The messages, some at a time: only one part is in memory.
 
     Raises
     ------
     AbraceError
         If an array has not the same length in all messages, or the file can't be written.
     """
-    table = columns(messages)
+    header: list[str] | None = None
     with write_atomically(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(table)
-        writer.writerows(zip(*(column.tolist() for column in table.values()), strict=True))
+        for part in parts:
+            table = columns(part)
+            if header is None:
+                header = list(table)
+                writer.writerow(header)
+            if list(table) != header and part.log_time.size:
+                name = next(iter(set(header) ^ set(table)))
+                raise AbraceError(f"{name} is not in all messages, expected arrays of the same length")
+            writer.writerows(zip(*(column.tolist() for column in table.values()), strict=True))
 
 
 def write_mat(path: Path | str, topics: Mapping[str, TopicArrays], facts: Mapping[str, str]) -> None:
@@ -80,13 +96,18 @@ def write_mat(path: Path | str, topics: Mapping[str, TopicArrays], facts: Mappin
     Raises
     ------
     AbraceError
-        If two names become one, or the file can't be written.
+        If two names become one, the messages do not fit the format, or the file can't be written.
     """
     from scipy.io import savemat
 
     structs: dict[str, Any] = {}
     for topic, messages in topics.items():
-        _add(structs, topic, _struct(_with_times(messages)))
+        values = _with_times(messages)
+        for name, array in values.items():
+            if array.nbytes >= _LARGEST_VARIABLE:
+                size = f"{array.nbytes / 1e9:.1f} GB, expected less than 2 GB in a MATLAB file"
+                raise AbraceError(f"topic {topic}: {name} has {size}: export a part of the time")
+        _add(structs, topic, _struct(values))
     _add(structs, "facts", _struct(facts))
     with write_atomically(path) as temporary:
         savemat(str(temporary), structs, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")

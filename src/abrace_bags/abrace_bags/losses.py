@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from abrace_bags.definitions import MessageField, parse_fields
 from abrace_core import wire
@@ -70,12 +71,25 @@ def counts_record(counts: Mapping[str, TopicCounts]) -> dict[str, str]:
     }
 
 
+class RecordedCounts(NamedTuple):
+    """What the logger counted of a topic: messages, gaps in their numbers, numbers missing in them, messages lost."""
+
+    messages: int
+    gaps: int
+    missing: int
+    lost: int
+
+
+def recorded_counts(records: Mapping[str, Mapping[str, str]]) -> dict[str, RecordedCounts]:
+    """What the logger counted by topic, of those topics that a bag's metadata `records` have."""
+    counts = {}
+    for topic, text in records.get(COUNTS_RECORD, {}).items():
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            content = json.loads(text)
+            counts[topic] = RecordedCounts(*(int(content[name]) for name in RecordedCounts._fields))
+    return counts
+
+
 def lost_messages(records: Mapping[str, Mapping[str, str]]) -> dict[str, int]:
     """Messages lost at recording by topic, of those topics that a bag's metadata `records` have."""
-    losses = {}
-    for topic, text in records.get(COUNTS_RECORD, {}).items():
-        try:
-            losses[topic] = int(json.loads(text)["lost"])
-        except (ValueError, KeyError, TypeError):
-            continue
-    return losses
+    return {topic: counts.lost for topic, counts in recorded_counts(records).items()}

@@ -6,22 +6,24 @@ bit: the law of Eq. (13) has no other input.
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rosbags.interfaces import QosDurability
 
 from abrace_bags.definitions import message_definition
-from abrace_bags.raw import RawBag
+from abrace_bags.raw import read_raw
 from abrace_core.errors import AbraceError
 from abrace_core.wire import BraceCommands, Responses
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator
 
     from rosbags.interfaces import Qos
 
-    from abrace_bags.raw import RawMessage, RecordedTopic
+    from abrace_bags.mcap.index import RecordedChannel
+    from abrace_bags.raw import RawBag, RecordedTopic
+    from abrace_bags.survey import RawMessage
 
 RESPONSE_TYPE = "abrace_interfaces/msg/Response"
 COMMAND_TYPE = "abrace_interfaces/msg/BraceCommand"
@@ -33,53 +35,39 @@ _CLOCK_END = 2**31 * 10**9
 """The seconds of a Clock message have 31 bits [ns]."""
 
 
-def without_commands(bag: RawBag) -> RawBag:
-    """A `bag` without the inputs of a rig, with a warning: nobody moves a rig by not naming topics to replay."""
+def bag_to_replay(bag: str, topics: Collection[str], start_offset: float, duration: float) -> RawBag:
+    """The messages of a `bag` to replay, as `read_raw` has them.
 
-    def is_input(topic: RecordedTopic) -> bool:
-        return topic.type_name == COMMAND_TYPE or topic.name.rpartition("/")[2] in RIG_INPUTS
-
-    left_out = sorted(topic.name for topic in bag.topics.values() if is_input(topic))
-    if not left_out:
-        return bag
-    return RawBag(
-        {name: topic for name, topic in bag.topics.items() if name not in left_out},
-        [message for message in bag.messages if message.topic not in left_out],
-        (*bag.warnings, f"{', '.join(left_out)} left out: a rig obeys them (parameter topics replays them by name)"),
-    )
-
-
-def excerpt(messages: Sequence[RawMessage], start_offset: float, duration: float) -> Sequence[RawMessage]:
-    """The messages of a part of a bag's time.
-
-    Parameters
-    ----------
-    messages
-        In the order of their log times.
-    start_offset
-        Where the part begins [s], counted from the first message.
-    duration
-        Its length [s]; 0: to the end.
+    Without `topics` the inputs of a rig are left out, with a warning: nobody moves a rig by not naming topics. So are
+    hidden topics, those of actions and services.
 
     Raises
     ------
     AbraceError
-        If there is no message in it.
+        As `read_raw`, or if there is no message.
     """
-    if not messages:
-        raise AbraceError("there is no message on the topics to replay")
-    begin = messages[0].log_time + round(start_offset * 1e9)
-    first = bisect_left(messages, begin, key=_log_time)
-    last = bisect_left(messages, begin + round(duration * 1e9), key=_log_time) if duration else len(messages)
-    if first == last:
-        span = (messages[-1].log_time - messages[0].log_time) * 1e-9
-        part = f"{start_offset:g} s to {f'{start_offset + duration:g} s' if duration else 'the end'}"
-        raise AbraceError(f"there is no message from {part}, its messages span {span:.3f} s")
-    return messages[first:last]
+    inputs: set[str] = set()
+    hidden: set[str] = set()
 
+    def refuses(channel: RecordedChannel) -> bool:
+        name = channel.topic
+        if topics:
+            return False
+        if channel.type_name == COMMAND_TYPE or name.rpartition("/")[2] in RIG_INPUTS:
+            inputs.add(name)
+        elif "/_" in name:
+            hidden.add(name)
+        return name in inputs or name in hidden
 
-def _log_time(message: RawMessage) -> int:
-    return message.log_time
+    found = read_raw(bag, topics, start_offset, duration, refuses)
+    for left_out, why in ((inputs, "a rig obeys them"), (hidden, "they are hidden")):
+        if left_out:
+            warning = f"{', '.join(sorted(left_out))} left out: {why} (parameter topics replays them by name)"
+            found = replace(found, warnings=(*found.warnings, warning))
+    if not found.count:
+        why = "; ".join(["there is no message on the topics to replay", *found.warnings])
+        raise AbraceError(f"bag {bag}: {why}")
+    return found
 
 
 def check_type(topic: RecordedTopic) -> None:
@@ -101,48 +89,41 @@ def check_type(topic: RecordedTopic) -> None:
         )
 
 
-def check_clock(bag: str, topics: Mapping[str, RecordedTopic], messages: Sequence[RawMessage]) -> None:
-    """Check that the time of a `bag` can be published on /clock when these `topics` and `messages` are replayed.
+def check_clock(name: str, bag: RawBag) -> None:
+    """Check that the time of a `bag` of this `name` can be published on /clock when it is replayed.
 
     Raises
     ------
     AbraceError
         If /clock is one of the topics, or a Clock message can't hold the messages' times.
     """
-    if CLOCK in topics:
+    if CLOCK in bag.topics:
         raise AbraceError(f"parameter clock: {CLOCK} of the bag is replayed, expected one of the two")
-    if not 0 <= messages[0].log_time <= messages[-1].log_time < _CLOCK_END:
-        raise AbraceError(f"parameter clock: /clock can't have the times of {bag}, expected 1970 to 2038")
+    if not 0 <= bag.first <= bag.last < _CLOCK_END:
+        raise AbraceError(f"parameter clock: /clock can't have the times of {name}, expected 1970 to 2038")
 
 
-def response_topic(topics: Mapping[str, RecordedTopic], messages: Sequence[RawMessage]) -> str:
-    """The topic whose samples are answered in lockstep.
-
-    Parameters
-    ----------
-    topics
-        Those to replay, by name.
-    messages
-        Those to replay.
+def response_topic(bag: RawBag) -> str:
+    """The topic of a `bag` whose samples are answered in lockstep.
 
     Raises
     ------
     AbraceError
         If there is not exactly one topic of responses, it has no message, or the answers are to be replayed as well.
     """
-    found = [name for name, topic in topics.items() if topic.type_name == RESPONSE_TYPE]
+    found = [name for name, topic in bag.topics.items() if topic.type_name == RESPONSE_TYPE]
     if len(found) != 1:
         raise AbraceError(
             f"parameter lockstep: {len(found)} topics of {RESPONSE_TYPE} to replay "
             f"({', '.join(sorted(found)) or 'none'}), expected one (parameter topics)"
         )
     answers = sibling_topic(found[0], COMMAND_TOPIC)
-    if answers in topics:
+    if answers in bag.topics:
         raise AbraceError(
             f"parameter lockstep: {answers} answers {found[0]} and can't be replayed as well, "
             "expected topics without it (parameter topics)"
         )
-    if not any(message.topic == found[0] for message in messages):
+    if not bag.counts.get(found[0]):
         raise AbraceError(f"parameter lockstep: no message of {found[0]} in the part to replay, expected some")
     return found[0]
 
@@ -169,8 +150,8 @@ class BagPlayback:
 
     Parameters
     ----------
-    messages
-        At least one, in the order of their log times.
+    bag
+        Has at least one message.
     rate
         Bag time over time.
     loop
@@ -182,17 +163,19 @@ class BagPlayback:
         If all are of one time and are to be played again and again.
     """
 
-    def __init__(self, messages: Sequence[RawMessage], rate: float, loop: bool) -> None:
-        self._messages = messages
+    def __init__(self, bag: RawBag, rate: float, loop: bool) -> None:
+        self._bag = bag
         self._rate = rate
         self._loop = loop
-        self._position = 0
-        self._first, self._last = messages[0].log_time, messages[-1].log_time
-        if loop and self._last == self._first:
+        span = bag.last - bag.first
+        if loop and not span:
             raise AbraceError("parameter loop: all messages to replay are of one time, expected some that follow")
         # a round lasts one mean interval longer than its messages: its last one and the first of the next are apart
-        self._round = self._last - self._first + round((self._last - self._first) / max(len(messages) - 1, 1))
-        self._bag_time = self._first
+        self._round = span + round(span / max(bag.count - 1, 1))
+        self._messages = bag.read()
+        self._next = next(self._messages, None)
+        self._position = 0
+        self._bag_time = bag.first
         self._clock_time = 0.0
         self._running = False
         self.played = 0
@@ -201,26 +184,26 @@ class BagPlayback:
     @property
     def ended(self) -> bool:
         """Whether the last message has been played."""
-        return self._position == len(self._messages)
+        return self._next is None
 
     @property
     def fraction(self) -> float:
         """How much of the messages of this round has been played."""
-        return self._position / len(self._messages)
+        return self._position / max(self._bag.count, 1)
 
     @property
     def due(self) -> float | None:
         """When the next message is due [s]; None: while the clock is stopped, and after the last message."""
-        if not self._running or self.ended:
+        if not self._running or self._next is None:
             return None
-        return self._clock_time + (self._messages[self._position].log_time - self._bag_time) * 1e-9 / self._rate
+        return self._clock_time + (self._next.log_time - self._bag_time) * 1e-9 / self._rate
 
     def bag_time(self, now: float) -> int:
         """The time of the bag [ns] at `now` [s], within that of its messages."""
         time = self._bag_time
         if self._running:
             time += round((now - self._clock_time) * 1e9 * self._rate)
-        return max(self._first, min(time, self._last))
+        return max(self._bag.first, min(time, self._bag.last))
 
     def start_clock(self, now: float) -> None:
         """Start the clock where it was stopped; `now` in seconds."""
@@ -235,18 +218,23 @@ class BagPlayback:
             self._running = False
 
     def next_message(self) -> RawMessage:
-        """Play the next message, which is due."""
-        message = self._messages[self._position]
+        """Play the next message, which is due; there is one."""
+        message = self._next
+        assert message is not None
+        self._next = next(self._messages, None)
         self._position += 1
         self.played += 1
         if self._loop and self.ended:
+            self._messages = self._bag.read()
+            self._next = next(self._messages)
             self._position = 0
             self._bag_time -= self._round
         return message
 
     def step(self) -> RawMessage:
         """Play the next message while the clock is stopped, and set the clock to its time, but never back."""
-        self._bag_time = max(self._bag_time, self._messages[self._position].log_time)
+        if self._next is not None:
+            self._bag_time = max(self._bag_time, self._next.log_time)
         return self.next_message()
 
 

@@ -1,43 +1,21 @@
-"""A bag's messages as they came from the wire, in the order in which they were logged: what `replay` publishes.
-
-MCAP bags, ours and rosbag2's, are read also when they were cut off. What else rosbag2 writes (sqlite3, compressed
-files, compressed messages) is read by `rosbags`.
-"""
+"""A bag's messages as they came from the wire, in the order in which they were logged: what `replay` publishes."""
 
 from __future__ import annotations
 
-import operator
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
-import numpy as np
-import yaml
-
-from abrace_bags.mcap.index import MessageFilter
 from abrace_bags.qos import combined_qos, parse_qos
-from abrace_bags.reader import open_bag
+from abrace_bags.survey import RawMessage, Survey, survey, time_range
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator
 
     from rosbags.interfaces import Qos
 
     from abrace_bags.mcap.index import RecordedChannel
-
-
-OUT_OF_TURN = 100_000_000
-"""By how much the times of several publishers' messages may step back [ns]; more is a clock that was set back."""
-
-
-class RawMessage(NamedTuple):
-    """A message: its topic, its bytes as they came from the wire, and when it was logged [ns]."""
-
-    topic: str
-    payload: bytes
-    log_time: int
 
 
 @dataclass(frozen=True)
@@ -64,25 +42,44 @@ class RecordedTopic:
 
 @dataclass(frozen=True)
 class RawBag:
-    """Topics of a bag and their messages.
+    """Topics of a bag, or of a part of its time, and their messages.
 
     Parameters
     ----------
     topics
         By name.
-    messages
-        Of these topics, in the order of their log times, those of one time in the order in which they were written.
+    read
+        Gives the messages from the first one on, in the order of their log times, those of one time in the order in
+        which they were written; a log time never steps back.
+    counts
+        Messages by topic.
+    first, last
+        Log times of the first and the last message [ns]; both 0 without a message.
     warnings
         What is missing or can't be trusted, one sentence each.
     """
 
     topics: dict[str, RecordedTopic]
-    messages: list[RawMessage]
+    read: Callable[[], Iterator[RawMessage]]
+    counts: dict[str, int]
+    first: int
+    last: int
     warnings: tuple[str, ...]
 
+    @property
+    def count(self) -> int:
+        """Messages."""
+        return sum(self.counts.values())
 
-def read_raw(bag: Path | str, topics: Collection[str] = ()) -> RawBag:
-    """Read the raw messages of a bag, all into memory.
+
+def read_raw(
+    bag: Path | str,
+    topics: Collection[str] = (),
+    start_offset: float = 0.0,
+    duration: float = 0.0,
+    refuses: Callable[[RecordedChannel], bool] = lambda _: False,
+) -> RawBag:
+    """Find the raw messages of a bag, which are then read chunk by chunk.
 
     Parameters
     ----------
@@ -90,16 +87,76 @@ def read_raw(bag: Path | str, topics: Collection[str] = ()) -> RawBag:
         A bag directory or a single file.
     topics
         Names of the topics to read, each whole (`/demo/response`) or the end of one (`response`); all when empty.
+    start_offset
+        Where the part to read begins [s], counted from the first message of these topics.
+    duration
+        Its length [s]; 0: to the end.
+    refuses
+        Whether to leave out a channel.
 
     Raises
     ------
     AbraceError
-        If there is no such bag, it isn't one, or a topic asked for is not in it or stands for several.
+        If there is no such bag, it isn't one, it has no message in that part, or a topic asked for is not in it or
+        stands for several.
     """
     path = Path(bag)
-    raw = _by_rosbags(path, topics) if _needs_rosbags(path) else _from_mcap(path, topics)
-    raw.messages.sort(key=operator.attrgetter("log_time"))
-    return raw
+
+    def accepts(channel: RecordedChannel) -> bool:
+        asked = not topics or any(channel.topic == one or _is_end_of(one, channel.topic) for one in topics)
+        return asked and not refuses(channel)
+
+    begin, end = time_range(path, accepts, start_offset, duration)
+    found = survey(path, accepts, begin, end)
+    channels = [channel for file in found.opened.files for channel in file.channels.values()]
+    choose_topics(bag, (channel.topic for channel in channels), topics)
+    recorded: dict[str, RecordedTopic] = {}
+    for channel in filter(accepts, channels):
+        if channel.message_encoding != "cdr":
+            written = f"is written as {channel.message_encoding!r}, expected 'cdr'"
+            raise AbraceError(f"{bag}: topic {channel.topic} {written}")
+        metadata = channel.metadata
+        qos = _offered_qos(path, channel.topic, metadata.get("offered_qos_profiles", ""))
+        _add(path, recorded, RecordedTopic(channel.topic, channel.type_name, metadata.get("topic_type_hash", ""), qos))
+    counts = {name: topic.count for name, topic in found.topics.items()}
+    if begin is not None and not any(counts.values()):
+        whole = survey(path, accepts)
+        span = max(one.last_time for one in whole.topics.values()) - min(
+            one.first_time for one in whole.topics.values() if one.count
+        )
+        part = f"{start_offset:g} s to {f'{start_offset + duration:g} s' if duration else 'the end'}"
+        raise AbraceError(f"{bag}: there is no message from {part}, its messages span {span * 1e-9:.3f} s")
+    return _raw_bag(path, recorded, found, counts)
+
+
+def _raw_bag(bag: Path, recorded: dict[str, RecordedTopic], found: Survey, counts: dict[str, int]) -> RawBag:
+    warnings = found.opened.warnings
+    if found.set_back:
+        warnings.append(f"{bag}: the clock was set back while it was recorded: messages come as they were written")
+
+        def read() -> Iterator[RawMessage]:
+            return continuous(found.messages())
+
+        first = next(read()).log_time
+        last = max(message.log_time for message in read())
+        return RawBag(recorded, read, counts, first, last, tuple(warnings))
+    times = [time for topic in found.topics.values() if topic.count for time in (topic.first_time, topic.last_time)]
+    warnings += [
+        f"{bag}: the times of {name} step back, its messages come in the order of their times"
+        for name, topic in found.topics.items()
+        if topic.steps_back
+    ]
+    return RawBag(recorded, found.messages, counts, min(times, default=0), max(times, default=0), tuple(warnings))
+
+
+def continuous(messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
+    """The `messages` in their order, their log times shifted from each on that was logged before the last one."""
+    shift, last = 0, None
+    for message in messages:
+        if last is not None and message.log_time + shift < last:
+            shift = last - message.log_time
+        last = message.log_time + shift
+        yield message._replace(log_time=last)
 
 
 def choose_topics(bag: Path | str, names: Iterable[str], asked: Collection[str]) -> set[str]:
@@ -135,95 +192,11 @@ def _is_end_of(asked: str, name: str) -> bool:
     return not asked.startswith("/") and name.endswith(f"/{asked}")
 
 
-def _needs_rosbags(path: Path) -> bool:
-    """Whether a bag is not plain MCAP, by its name or by what its metadata.yaml says."""
-    metadata = path / "metadata.yaml"
+def _offered_qos(bag: Path, topic: str, offers: str) -> Qos:
     try:
-        if path.is_file():
-            return path.suffix == ".db3"
-        if not metadata.is_file():
-            return any(path.glob("*.db3"))
-        information = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-        return information["storage_identifier"] != "mcap" or bool(information.get("compression_format"))
-    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, AttributeError):
-        # reading its MCAP files reports what is wrong
-        return False
-
-
-def _from_mcap(bag: Path, asked: Collection[str]) -> RawBag:
-    def accepts(channel: RecordedChannel) -> bool:
-        return not asked or any(channel.topic == one or _is_end_of(one, channel.topic) for one in asked)
-
-    opened = open_bag(bag, MessageFilter(accepts))
-    files, warnings = opened.files, opened.warnings
-    chosen = choose_topics(bag, (channel.topic for file in files for channel in file.channels.values()), asked)
-    topics: dict[str, RecordedTopic] = {}
-    messages: list[RawMessage] = []
-    for file in files:
-        numbered: list[tuple[int, RawMessage]] = []
-        for channel_id, channel in file.channels.items():
-            if channel.topic not in chosen:
-                continue
-            if channel.message_encoding != "cdr":
-                raise AbraceError(
-                    f"{bag}: topic {channel.topic} is written as {channel.message_encoding!r}, expected 'cdr'"
-                )
-            metadata = channel.metadata
-            qos = _combined_qos(bag, channel.topic, metadata.get("offered_qos_profiles", ""))
-            topic = RecordedTopic(channel.topic, channel.type_name, metadata.get("topic_type_hash", ""), qos)
-            _add(bag, topics, topic)
-            if channel_id in file.streams:
-                stream = file.streams[channel_id]
-                if (np.diff(stream.log_time) < -OUT_OF_TURN).any():
-                    warnings.append(
-                        f"{bag}: the times of {channel.topic} step back, its messages come in the order of their times"
-                    )
-                of_topic = (RawMessage(channel.topic, payload, log_time) for log_time, _, payload in stream.messages())
-                numbered += zip(np.concatenate(stream.file_numbers).tolist(), of_topic, strict=True)
-        numbered.sort(key=operator.itemgetter(0))
-        messages += [message for _, message in numbered]
-    return RawBag(topics, messages, tuple(warnings))
-
-
-def _combined_qos(bag: Path, topic: str, offers: str | Sequence[Qos]) -> Qos:
-    try:
-        return combined_qos(parse_qos(offers) if isinstance(offers, str) else offers)
+        return combined_qos(parse_qos(offers))
     except AbraceError as error:
         raise AbraceError(f"{bag}: topic {topic}: {error}") from error
-
-
-def _by_rosbags(bag: Path, asked: Collection[str]) -> RawBag:
-    # takes 0.2 s, which plain MCAP bags don't need
-    from rosbags.rosbag2 import Reader
-
-    topics: dict[str, RecordedTopic] = {}
-    try:
-        with Reader(bag) as reader:
-            chosen = choose_topics(bag, (connection.topic for connection in reader.connections), asked)
-            connections = [connection for connection in reader.connections if connection.topic in chosen]
-            for connection in connections:
-                extension: Any = connection.ext  # that of rosbag2 has the QoS
-                qos = _combined_qos(bag, connection.topic, extension.offered_qos_profiles)
-                _add(bag, topics, RecordedTopic(connection.topic, connection.msgtype, connection.digest, qos))
-            messages = [
-                RawMessage(connection.topic, bytes(payload), time)
-                for connection, time, payload in reader.messages(connections)
-            ]
-            expected: Counter[str] = Counter()
-            for connection in connections:
-                expected[connection.topic] += connection.msgcount
-    except AbraceError:
-        raise
-    except Exception as error:
-        # of a damaged file rosbags raises what its database, its decompression or its own code happen to raise
-        raise AbraceError(f"{bag}: {' '.join(str(error).split()) or type(error).__name__}") from error
-    found = Counter(message.topic for message in messages)
-    warnings = [
-        f"{bag}: {count - found[topic]} of {count} messages of {topic} are missing"
-        for topic, count in expected.items()
-        if found[topic] < count
-    ]
-    return RawBag(topics, messages, tuple(warnings))
 
 
 def _add(bag: Path, topics: dict[str, RecordedTopic], found: RecordedTopic) -> None:

@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 
+from abrace_bags.bag import in_brackets, missing_messages, open_bag, read_facts, topic_names
 from abrace_bags.cdr import decode, undecodable
 from abrace_bags.definitions import is_same_type, parse_message_type
-from abrace_bags.mcap.file_reader import McapFile
+from abrace_bags.mcap.chunk import LOG_TIME, MESSAGE_HEAD_SIZE, PUBLISH_TIME
 from abrace_bags.mcap.index import MessageFilter
-from abrace_bags.mcap.records import read_facts_record
 from abrace_core.errors import AbraceError
-from abrace_core.sequence import missing_numbers
+from abrace_core.sequence import NumberRanges, are_interleaved, clock_was_set_back
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
+    from pathlib import Path
 
-    from mcap.records import Attachment
     from numpy.typing import NDArray
 
-    from abrace_bags.mcap.chunk import Stream
+    from abrace_bags.definitions import MessageType
+    from abrace_bags.mcap.chunk import Messages
     from abrace_bags.mcap.index import RecordedChannel
+
+__all__ = ["BagContents", "TopicArrays", "read_facts", "read_selected", "read_topics", "topic_names"]
 
 
 @dataclass(frozen=True)
@@ -122,196 +122,93 @@ def read_selected(
 
     `bag`, `begin`, `end` and what is returned and raised are as for `read_topics`.
     """
-    opened = open_bag(bag, MessageFilter(accepts, begin, end))
-    warnings = opened.warnings
+    opened = open_bag(bag)
     channels: dict[str, list[tuple[RecordedChannel, Stream | None]]] = {}
     for file in opened.files:
+        streams: dict[int, Stream] = {}
+        for messages in file.chunks(MessageFilter(accepts, begin, end)):
+            for channel_id in np.flatnonzero(np.bincount(messages.channel_ids)).tolist():
+                streams.setdefault(channel_id, Stream()).append(messages, messages.channel_ids == channel_id)
         for channel_id, channel in file.channels.items():
             if accepts(channel):
-                channels.setdefault(channel.topic, []).append((channel, file.streams.get(channel_id)))
+                channels.setdefault(channel.topic, []).append((channel, streams.get(channel_id)))
+    warnings = opened.warnings
     topics = {}
     for topic, recorded in channels.items():
         try:
-            topics[topic], left_out = _topic(recorded)
-            warnings += [f"{bag}: topic {topic}: {what}" for what in left_out]
+            topics[topic], notes = _topic(recorded)
+            warnings += [f"{bag}: topic {topic}: {note}" for note in notes]
         except AbraceError as error:
             warnings.append(f"{bag}: topic {topic} is left out: {error}")
     if opened.uncounted:
-        warnings += [f"{bag}: {missing_messages(topic, messages)}" for topic, messages in topics.items()]
+        warnings += [f"{bag}: {missing_messages(topic, _ranges(arrays))}" for topic, arrays in topics.items()]
     attachments = {attachment.name: attachment.data for attachment in opened.attachments}
     return BagContents(topics, opened.facts, tuple(warnings), opened.records, attachments)
 
 
-def read_facts(bag: Path | str) -> dict[str, str]:
-    """The facts of the run in a `bag`: rig, controller, record, versions. Empty where it has none.
-
-    Raises
-    ------
-    AbraceError
-        If there is no such bag, it isn't one, or its facts are damaged.
-    """
-    damaged = []
-    for path in bag_files(bag):
-        try:
-            facts = read_facts_record(path)
-        except AbraceError as error:
-            damaged.append(error)
-            continue
-        if facts is not None:
-            return facts
-    if damaged:
-        raise damaged[0]
-    return {}
-
-
-def topic_names(bag: Path | str) -> set[str]:
-    """Names of the topics of a `bag`.
-
-    Raises
-    ------
-    AbraceError
-        As `open_bag`.
-    """
-    files = open_bag(bag, MessageFilter(lambda _: False)).files
-    return {channel.topic for file in files for channel in file.channels.values()}
-
-
-@dataclass(frozen=True)
-class OpenedBag:
-    """What is whole in the files of a bag.
-
-    Parameters
-    ----------
-    files
-        Those that can be read, in their order.
-    warnings
-        What is missing or can't be trusted, one sentence each.
-    uncounted
-        Whether messages may be missing and the files do not say how many.
-    """
-
-    files: list[McapFile]
-    warnings: list[str]
-    uncounted: bool
-
-    @property
-    def facts(self) -> dict[str, str]:
-        """The run's facts, of the first file that has them."""
-        return next((file.facts for file in self.files if file.facts is not None), {})
-
-    @property
-    def records(self) -> dict[str, dict[str, str]]:
-        """Metadata records: texts by key, by the record's name."""
-        return {name: texts for file in self.files for name, texts in file.metadata.items()}
-
-    @property
-    def attachments(self) -> list[Attachment]:
-        """Files of the run."""
-        return [attachment for file in self.files for attachment in file.attachments]
-
-
-def open_bag(bag: Path | str, message_filter: MessageFilter) -> OpenedBag:
-    """Read the files of a bag; one that can't be read does not keep the others from being read.
-
-    Parameters
-    ----------
-    bag
-        A bag directory or a single MCAP file.
-    message_filter
-        Which messages to keep.
-
-    Raises
-    ------
-    AbraceError
-        If there is no such bag, or none of its files can be read.
-    """
-    files, unreadable = [], []
-    for path in bag_files(bag):
-        try:
-            files.append(McapFile(path, message_filter))
-        except AbraceError as error:
-            unreadable.append(str(error))
-    if not files:
-        raise AbraceError("; ".join(unreadable))
-    warnings = missing_files(bag) + [f"{reason}; nothing is read of it" for reason in unreadable]
-    warnings += [warning for file in files for warning in file.warnings]
-    return OpenedBag(files, warnings, bool(unreadable) or any(file.uncounted for file in files))
-
-
-def bag_files(bag: Path | str) -> list[Path]:
-    """The MCAP files of a `bag`, in their order.
-
-    Raises
-    ------
-    AbraceError
-        If there is none.
-    """
-    bag = Path(bag)
-    try:
-        exists = bag.exists()
-    except OSError as error:
-        raise AbraceError(f"{bag}: {error.strerror}") from error
-    if not exists:
-        raise AbraceError(f"{bag}: no such bag, expected a bag directory or an MCAP file")
-    if not bag.is_dir():
-        return [bag]
-
-    def by_numbers(path: Path) -> list[int | str]:
-        return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)]
-
-    files = sorted(bag.glob("*.mcap"), key=by_numbers)
-    if not files:
-        raise AbraceError(f"{bag}: no MCAP file in it, expected a bag directory")
-    return files
-
-
-def missing_files(bag: Path | str) -> list[str]:
-    """Files that the metadata.yaml of a `bag` lists and that do not exist, one sentence each."""
-    bag = Path(bag)
-    path = bag / "metadata.yaml"
-    if not path.is_file():
-        return []
-    try:
-        named = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]["relative_file_paths"]
-        return [f"{bag}: {name} is missing" for name in named if not (bag / Path(name).name).is_file()]
-    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError) as error:
-        return [f"{path}: can't be read ({' '.join(str(error).split())})"]
-
-
-def in_brackets(warnings: Sequence[str]) -> str:
-    """The `warnings` of a bag for the error that they may explain; empty without any."""
-    return f" ({'; '.join(warnings)})" if warnings else ""
-
-
-def sequence_of(messages: TopicArrays) -> NDArray[Any] | None:
-    """The `sequence` of `messages` (messages,); None where there are no messages, or none with a `sequence`."""
-    sequence = messages.fields.get("sequence")
-    if sequence is None or sequence.dtype.kind not in "iu" or sequence.ndim > 1 or not sequence.size:
-        return None
-    return sequence
-
-
-def missing_messages(topic: str, messages: TopicArrays) -> str:
-    """How many `messages` of a `topic` are missing by their `sequence`, for a warning where the bag's count is lost."""
-    sequence = sequence_of(messages)
+def _ranges(messages: TopicArrays) -> NumberRanges | None:
+    sequence = sequence_in(messages.fields)
     if sequence is None:
-        return f"topic {topic}: how many messages are missing is not known"
-    _, missing = missing_numbers(sequence)
-    span = f"{sequence.min()} to {sequence.max()}"
-    return f"topic {topic}: {missing} of the samples {span} are missing, later ones are not known"
+        return None
+    ranges = NumberRanges()
+    ranges.add(sequence)
+    return ranges
+
+
+class Stream:
+    """Messages of one channel of a file, by their lengths: those of one length are decoded together.
+
+    Attributes
+    ----------
+    count
+        How many.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._blocks: dict[int, list[tuple[NDArray[np.int64], NDArray[np.void]]]] = {}
+
+    def append(self, messages: Messages, which: NDArray[np.bool_]) -> None:
+        """Add those of a chunk's `messages` that `which` (messages,) says."""
+        begins, sizes = (
+            (messages.begins, messages.sizes) if which.all() else (messages.begins[which], messages.sizes[which])
+        )
+        numbers = np.arange(self.count, self.count + begins.size)
+        self.count += begins.size
+        for size in np.unique(sizes).tolist():
+            of_size = sizes == size
+            # a record at every byte of the chunk, of which those that are records are copied
+            everywhere = np.ndarray((len(messages.records) - size + 1,), f"V{size}", messages.records, strides=(1,))
+            self._blocks.setdefault(size, []).append((numbers[of_size], everywhere[begins[of_size]]))
+
+    def times(self, offset: int) -> NDArray[np.int64]:
+        """(messages,) [ns], of which each record has one at `offset`."""
+        times = np.empty(self.count, np.int64)
+        for size, blocks in self._blocks.items():
+            for numbers, records in blocks:
+                times[numbers] = _fields(records, size, "<i8", offset)
+        return times
+
+    def payloads(self) -> list[tuple[NDArray[np.int64], NDArray[np.void]]]:
+        """For each length that occurs: numbers of the messages, and their bytes."""
+        payloads = []
+        for size, blocks in self._blocks.items():
+            records = np.concatenate([records for _, records in blocks])
+            payload = _fields(records, size, f"V{size - MESSAGE_HEAD_SIZE}", MESSAGE_HEAD_SIZE)
+            payloads.append((np.concatenate([numbers for numbers, _ in blocks]), payload))
+        return payloads
+
+
+def _fields(records: NDArray[np.void], size: int, form: str, offset: int) -> NDArray[Any]:
+    """One field of message records of `size` bytes, without a copy."""
+    return records.view(np.dtype({"names": ["field"], "formats": [form], "offsets": [offset], "itemsize": size}))[
+        "field"
+    ]
 
 
 def _topic(recorded: list[tuple[RecordedChannel, Stream | None]]) -> tuple[TopicArrays, list[str]]:
-    """All messages of one topic, from its channels in all files, and how many of them are left out and why."""
-    channel = recorded[0][0]
-    described = channel.type_name, channel.definition
-    for other, _ in recorded:
-        if not is_same_type(described, (other.type_name, other.definition)):
-            raise AbraceError(f"has messages of {channel.type_name} and another {other.type_name}, expected one")
-        if (other.message_encoding, other.schema_encoding) != ("cdr", "ros2msg"):
-            encodings = f"{other.message_encoding!r} described by {other.schema_encoding!r}"
-            raise AbraceError(f"is written as {encodings}, expected 'cdr' described by 'ros2msg'")
-    message_type = parse_message_type(*described)
+    """All messages of one topic, from its channels in all files, and what is to be said of them."""
+    message_type = common_type([channel for channel, _ in recorded])
     streams = [stream for _, stream in recorded if stream is not None]
     count = 0
     payloads = []
@@ -319,23 +216,82 @@ def _topic(recorded: list[tuple[RecordedChannel, Stream | None]]) -> tuple[Topic
         payloads += [(numbers + count, block) for numbers, block in stream.payloads()]
         count += stream.count
     none = [np.empty(0, np.int64)]
-    log_time = np.concatenate(none + [stream.log_time for stream in streams])
-    publish_time = np.concatenate(none + [stream.publish_time for stream in streams])
-    left_out = []
+    log_time = np.concatenate(none + [stream.times(LOG_TIME) for stream in streams])
+    publish_time = np.concatenate(none + [stream.times(PUBLISH_TIME) for stream in streams])
+    fields, fits, notes = decode_fitting(message_type, payloads, count)
+    order, note = _order(log_time[fits], sequence_in(fields))
+    if order is not None:
+        fields = {name: values[order] for name, values in fields.items()}
+    chosen = fits if order is None else np.flatnonzero(fits)[order]
+    return TopicArrays(recorded[0][0].type_name, fields, log_time[chosen], publish_time[chosen]), notes + note
+
+
+def common_type(channels: Sequence[RecordedChannel]) -> MessageType:
+    """The type of the messages of a topic's `channels`, at least one.
+
+    Raises
+    ------
+    AbraceError
+        If they have several, or are not CDR described by .msg texts.
+    """
+    described = channels[0].type_name, channels[0].definition
+    for other in channels:
+        if not is_same_type(described, (other.type_name, other.definition)):
+            raise AbraceError(f"has messages of {described[0]} and another {other.type_name}, expected one")
+        if (other.message_encoding, other.schema_encoding) != ("cdr", "ros2msg"):
+            encodings = f"{other.message_encoding!r} described by {other.schema_encoding!r}"
+            raise AbraceError(f"is written as {encodings}, expected 'cdr' described by 'ros2msg'")
+    return parse_message_type(*described)
+
+
+def decode_fitting(
+    message_type: MessageType, payloads: Sequence[tuple[NDArray[np.int64], NDArray[np.void]]], count: int
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_], list[str]]:
+    """Decode those of `count` messages that fit their type; `message_type` and `payloads` are as for `decode`.
+
+    Returns
+    -------
+    tuple
+        The fields, (messages,) which messages fit, and a sentence if not all do.
+
+    Raises
+    ------
+    AbraceError
+        If none fits.
+    """
+    fits = np.ones(count, bool)
     try:
-        fields = decode(message_type, payloads)
+        return decode(message_type, payloads), fits, []
     except AbraceError as error:
-        fits = np.ones(count, bool)
         fits[undecodable(message_type, payloads)] = False
         if not fits.any():
             raise
-        left_out = [f"{count - fits.sum()} of {count} messages are left out: {error}"]
+        note = f"{count - fits.sum()} of {count} messages are left out: {error}"
         renumbered = np.cumsum(fits) - 1
         kept = [(renumbered[numbers[fits[numbers]]], block[fits[numbers]]) for numbers, block in payloads]
-        fields = decode(message_type, [part for part in kept if len(part[0])])
-        log_time, publish_time = log_time[fits], publish_time[fits]
-    if (log_time[1:] < log_time[:-1]).any():
-        order = np.argsort(log_time, kind="stable")
-        fields = {name: values[order] for name, values in fields.items()}
-        log_time, publish_time = log_time[order], publish_time[order]
-    return TopicArrays(channel.type_name, fields, log_time, publish_time), left_out
+        return decode(message_type, [part for part in kept if len(part[0])]), fits, [note]
+
+
+def _order(log_time: NDArray[np.int64], sequence: NDArray[Any] | None) -> tuple[NDArray[np.intp] | None, list[str]]:
+    """The order of messages, None as they are, and what is to be said of it.
+
+    It is that of their log times, unless their numbers show that the clock was set back while they were recorded.
+    """
+    order = None if (log_time[1:] >= log_time[:-1]).all() else np.argsort(log_time, kind="stable")
+    if sequence is None:
+        return order, []
+    if order is not None and clock_was_set_back(log_time, sequence):
+        return None, ["the clock was set back while it was recorded: messages are in the order of their recording"]
+    numbers = sequence if order is None else sequence[order]
+    if are_interleaved(numbers):
+        by_number = np.argsort(sequence, kind="stable")
+        return by_number, ["its log times are not in the order of its numbers: messages are in that of the numbers"]
+    return order, []
+
+
+def sequence_in(fields: Mapping[str, NDArray[Any]]) -> NDArray[Any] | None:
+    """The `sequence` in the `fields` of messages (messages,); None where there is none, or no message."""
+    sequence = fields.get("sequence")
+    if sequence is None or sequence.dtype.kind not in "iu" or sequence.ndim > 1 or not sequence.size:
+        return None
+    return sequence

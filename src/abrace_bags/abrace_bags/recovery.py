@@ -8,18 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from abrace_bags.bag import in_brackets, missing_messages
 from abrace_bags.definitions import is_same_type
 from abrace_bags.losses import lost_messages
-from abrace_bags.mcap.index import MessageFilter
 from abrace_bags.qos import parse_qos
-from abrace_bags.reader import in_brackets, missing_messages, open_bag, read_topics
+from abrace_bags.survey import survey
 from abrace_bags.writer import WRITTEN_RECORDS, BagWriter
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from abrace_bags.mcap.file_reader import McapFile
     from abrace_bags.mcap.index import RecordedChannel
 
 
@@ -43,7 +42,7 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
     """Write a whole bag of everything that can be read of another.
 
     Messages, their times, types and QoS, the run's facts, the other metadata and the attachments are kept as they are;
-    messages are written in the order of their log times, file after file.
+    messages are written in the order in which they were recorded. No more than some chunks are in memory.
 
     Parameters
     ----------
@@ -57,38 +56,31 @@ def recover(bag: Path | str, output: Path | str) -> Recovered:
     AbraceError
         If there is no such bag, it has no message that can be read, or the new one can't be written.
     """
-    opened = open_bag(bag, MessageFilter(lambda _: True))
-    files, warnings = opened.files, opened.warnings
     types: dict[str, tuple[str, str]] = {}
-    usable = [(file, _usable_channels(str(bag), file, types, warnings)) for file in files]
-    if not any(file.streams[number].count for file, numbers in usable for number in numbers if number in file.streams):
+    found = survey(bag, lambda channel: not _unusable(channel, types))
+    warnings = found.opened.warnings
+    if not found.count:
         raise AbraceError(f"{bag}: no message in it that can be read{in_brackets(warnings)}")
-    lost = lost_messages(opened.records)
-    records = {name: texts for name, texts in opened.records.items() if name not in WRITTEN_RECORDS}
-    counts: dict[str, int] = {}
-    topics: dict[str, int] = {}
+    for file in found.opened.files:
+        for channel in file.channels.values():
+            why = _unusable(channel, types)
+            if why:
+                warnings.append(f"{bag}: messages of topic {channel.topic} are left out: it {why}")
+    lost = lost_messages(found.opened.records)
+    records = {name: texts for name, texts in found.opened.records.items() if name not in WRITTEN_RECORDS}
+    attachments = found.opened.attachments
     with (
         _new_bag(Path(output)) as temporary,
-        BagWriter(temporary, opened.facts, records=records, attachments=opened.attachments) as writer,
+        BagWriter(temporary, found.opened.facts, records=records, attachments=attachments) as writer,
     ):
-        for file, numbers in usable:
-            messages = []
-            for number in numbers:
-                channel = file.channels[number]
-                if channel.topic not in topics:
-                    topics[channel.topic] = _add_topic(writer, channel)
-                    counts[channel.topic] = 0
-                if number in file.streams:
-                    messages += [(topics[channel.topic], *message) for message in file.streams[number].messages()]
-                    counts[channel.topic] += file.streams[number].count
-            for topic_id, log_time, publish_time, payload in sorted(messages, key=lambda message: message[1]):
-                writer.write(topic_id, payload, log_time, publish_time)
-        for topic, topic_id in topics.items():
-            writer.add_lost(topic_id, lost.get(topic, 0))
-    if opened.uncounted:
-        recovered = read_topics(output)
-        warnings += [f"{bag}: {missing_messages(topic, messages)}" for topic, messages in recovered.items()]
-    return Recovered(counts, tuple(warnings))
+        numbers = {name: _add_topic(writer, topic.channel) for name, topic in found.topics.items()}
+        for topic, payload, log_time, publish_time in found.as_written():
+            writer.write(numbers[topic], payload, log_time, publish_time)
+        for topic, number in numbers.items():
+            writer.add_lost(number, lost.get(topic, 0))
+    if found.opened.uncounted:
+        warnings += [f"{bag}: {missing_messages(name, topic.numbers)}" for name, topic in found.topics.items()]
+    return Recovered({name: topic.count for name, topic in found.topics.items()}, tuple(warnings))
 
 
 @contextlib.contextmanager
@@ -109,21 +101,15 @@ def _new_bag(output: Path) -> Iterator[Path]:
         raise AbraceError(f"cannot write bag {output}: {error.strerror}") from error
 
 
-def _usable_channels(bag: str, file: McapFile, types: dict[str, tuple[str, str]], warnings: list[str]) -> list[int]:
-    """Ids of the channels that our bags can hold, each topic of one type; a warning for each of the others."""
-    usable = []
-    for channel_id, channel in file.channels.items():
-        encodings = (channel.message_encoding, channel.schema_encoding)
-        known = types.setdefault(channel.topic, (channel.type_name, channel.definition))
-        if encodings != ("cdr", "ros2msg"):
-            why = f"is written as {encodings[0]!r} described by {encodings[1]!r}, expected 'cdr' by 'ros2msg'"
-        elif not is_same_type(known, (channel.type_name, channel.definition)):
-            why = f"is another {channel.type_name}, expected {known[0]} as before"
-        else:
-            usable.append(channel_id)
-            continue
-        warnings.append(f"{bag}: messages of topic {channel.topic} are left out: it {why}")
-    return usable
+def _unusable(channel: RecordedChannel, types: dict[str, tuple[str, str]]) -> str:
+    """Why our bags can't hold a channel's messages, each topic being of one type; empty if they can."""
+    encodings = channel.message_encoding, channel.schema_encoding
+    if encodings != ("cdr", "ros2msg"):
+        return f"is written as {encodings[0]!r} described by {encodings[1]!r}, expected 'cdr' by 'ros2msg'"
+    known = types.setdefault(channel.topic, (channel.type_name, channel.definition))
+    if not is_same_type(known, (channel.type_name, channel.definition)):
+        return f"is another {channel.type_name}, expected {known[0]} as before"
+    return ""
 
 
 def _add_topic(writer: BagWriter, channel: RecordedChannel) -> int:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from abrace_bags.reader import in_brackets, read_selected
+from abrace_bags.bag import in_brackets
+from abrace_bags.reader import TopicArrays, read_selected
 from abrace_core.errors import AbraceError
 from abrace_core.run import Run
 from abrace_core.sequence import breaks
@@ -17,24 +19,20 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from abrace_bags.reader import TopicArrays
-
 RESPONSE_TYPE = "abrace_interfaces/msg/Response"
 _FLOORS = ("displacement", "acceleration")
 _GROUPS = ("stroke", "force", "command")
 
 
-def read_run(bag: Path | str, topic: str | None = None, whole: bool = True) -> Run:
-    """Read a recorded test of the rig from a bag.
+def read_run(bag: Path | str, topic: str | None = None) -> Run:
+    """Read a recorded test of the rig from a bag, of which no sample may be missing.
 
     Parameters
     ----------
     bag
-        A bag directory or a single MCAP file.
+        A bag directory or a single file.
     topic
         The topic of the responses; when None, the only one of their type.
-    whole
-        Whether missing samples are an error; if not, the run has the samples of the bag, with their numbers.
 
     Returns
     -------
@@ -44,9 +42,21 @@ def read_run(bag: Path | str, topic: str | None = None, whole: bool = True) -> R
     Raises
     ------
     AbraceError
-        If there is no such bag or topic, it has no messages, a test that has to be whole lacks samples, or a value is
-        not finite.
+        If there is no such bag or topic, it has no messages, lacks samples, has several runs, or a value is not finite.
     """
+    return _runs(bag, topic, whole=True)[0]
+
+
+def read_runs(bag: Path | str, topic: str | None = None) -> list[Run]:
+    """Read the recorded tests of the rig from a bag: where numbers do not rise, the rig was activated again.
+
+    `bag`, `topic` and what is raised are as for `read_run`, but samples may be missing: each run has those of the bag,
+    with their numbers.
+    """
+    return _runs(bag, topic, whole=False)
+
+
+def _runs(bag: Path | str, topic: str | None, whole: bool) -> list[Run]:
     contents = read_selected(bag, lambda channel: channel.type_name == RESPONSE_TYPE)
     why = in_brackets(contents.warnings)
     if topic is None and len(contents) > 1:
@@ -55,17 +65,19 @@ def read_run(bag: Path | str, topic: str | None = None, whole: bool = True) -> R
         topic = next(iter(contents), None)
     if topic is None or topic not in contents:
         raise AbraceError(f"{bag}: no topic {topic or ''} of type {RESPONSE_TYPE} in it{why}".replace("  ", " "))
-    response = contents[topic]
+    facts: dict[str, Any] = dict(contents.facts)
+    if contents.warnings:
+        facts["warnings"] = list(contents.warnings)
     try:
-        run = _run(str(bag), response, contents.facts, whole)
+        parts = _parts(contents[topic], whole)
+        names = [f"{bag}, run {k} of {len(parts)}" if len(parts) > 1 else f"{bag}" for k in range(1, len(parts) + 1)]
+        return [_run(name, part, facts) for name, part in zip(names, parts, strict=True)]
     except AbraceError as error:
         raise AbraceError(f"{bag}: topic {topic}: {error}{why}") from error
-    if contents.warnings:
-        run.facts["warnings"] = list(contents.warnings)
-    return run
 
 
-def _run(source: str, response: TopicArrays, facts: dict[str, str], whole: bool) -> Run:
+def _parts(response: TopicArrays, whole: bool) -> list[TopicArrays]:
+    """The runs of a topic of responses; of a `whole` one, which lacks no sample, there is one."""
     if not response.log_time.size:
         raise AbraceError("has no messages, expected a recorded test")
     missing = [name for name in (*_FLOORS, *_GROUPS, "sequence", "ground_acceleration") if name not in response.fields]
@@ -74,6 +86,21 @@ def _run(source: str, response: TopicArrays, facts: dict[str, str], whole: bool)
     sequence = response.fields["sequence"]
     if whole:
         _check_sequence(sequence)
+    restarts = np.flatnonzero(sequence[1:] <= sequence[:-1]) + 1
+    bounds = [0, *restarts.tolist(), sequence.size]
+    return [
+        TopicArrays(
+            response.type_name,
+            {name: values[begin:end] for name, values in response.fields.items()},
+            response.log_time[begin:end],
+            response.publish_time[begin:end],
+        )
+        for begin, end in itertools.pairwise(bounds)
+    ]
+
+
+def _run(source: str, response: TopicArrays, facts: dict[str, Any]) -> Run:
+    sequence = response.fields["sequence"]
     values = {name: _finite(name, response.fields[name], sequence) for name in (*_FLOORS, *_GROUPS)}
     for names in (_FLOORS, _GROUPS):
         sizes = [values[name].shape[1] for name in names]
@@ -96,7 +123,8 @@ def _check_sequence(sequence: NDArray[np.uint64]) -> None:
     gaps = breaks(sequence)
     if gaps.size:
         before, after = sequence[gaps[0]], sequence[gaps[0] + 1]
-        raise AbraceError(f"sample {before} is followed by sample {after}, expected {before + np.uint64(1)}")
+        again = " (the rig was activated again)" if after < before else ""
+        raise AbraceError(f"sample {before} is followed by sample {after}{again}, expected {before + np.uint64(1)}")
 
 
 def _finite(name: str, values: NDArray[np.float64], sequence: NDArray[np.uint64]) -> NDArray[np.float64]:
@@ -108,7 +136,7 @@ def _finite(name: str, values: NDArray[np.float64], sequence: NDArray[np.uint64]
     return values
 
 
-def _sample_period(response: TopicArrays, facts: dict[str, str]) -> float:
+def _sample_period(response: TopicArrays, facts: dict[str, Any]) -> float:
     """Seconds: as the facts say, else the median step of the stamps."""
     if "sample_period" in facts:
         try:

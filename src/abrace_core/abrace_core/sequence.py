@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,3 +52,71 @@ def missing_numbers(sequence: NDArray[Any]) -> tuple[int, int]:
         return 0, 0
     numbers = np.unique(sequence)
     return breaks(numbers).size, int(numbers[-1]) - int(numbers[0]) + 1 - numbers.size
+
+
+class NumberRanges:
+    """The numbers of recorded messages as ranges without a gap, from arrays that come one after the other.
+
+    Neither order nor repeated numbers matter: several runs count as one.
+    """
+
+    def __init__(self) -> None:
+        self._ranges: list[tuple[int, int]] = []
+        self._most = 1000
+
+    def add(self, sequence: NDArray[Any]) -> None:
+        """Add the `sequence` (messages,) of some messages."""
+        if not sequence.size:
+            return
+        numbers = np.unique(sequence)
+        ends = np.append(breaks(numbers), numbers.size - 1)
+        begins = np.append(0, ends[:-1] + 1)
+        for first, last in zip(numbers[begins].tolist(), numbers[ends].tolist(), strict=True):
+            if self._ranges and self._ranges[-1][1] + 1 == first:
+                self._ranges[-1] = self._ranges[-1][0], last
+            else:
+                self._ranges.append((first, last))
+        if len(self._ranges) > self._most:
+            self._join()
+            self._most = 1000 + 2 * len(self._ranges)
+
+    def _join(self) -> None:
+        joined: list[tuple[int, int]] = []
+        for first, last in sorted(self._ranges):
+            if joined and first <= joined[-1][1] + 1:
+                joined[-1] = joined[-1][0], max(last, joined[-1][1])
+            else:
+                joined.append((first, last))
+        self._ranges = joined
+
+    @property
+    def ranges(self) -> list[tuple[int, int]]:
+        """First and last number of each range, in order."""
+        self._join()
+        return self._ranges
+
+    @property
+    def gaps(self) -> int:
+        """Places where numbers are missing."""
+        return max(len(self.ranges) - 1, 0)
+
+    @property
+    def missing(self) -> int:
+        """Numbers missing in them."""
+        return sum(after - before - 1 for (_, before), (after, _) in itertools.pairwise(self.ranges))
+
+
+def clock_was_set_back(time: NDArray[Any], sequence: NDArray[Any]) -> bool:
+    """Whether the `time` (messages,) of messages steps back where their `sequence` goes on, in the order of recording.
+
+    The messages were then recorded in their order, by a clock that was not.
+    """
+    return bool(((time[1:] < time[:-1]) & (sequence[1:] > sequence[:-1])).any())
+
+
+def are_interleaved(sequence: NDArray[Any]) -> bool:
+    """Whether a `sequence` (messages,) is one run out of order, in contrast to several runs one after the other."""
+    drops = np.flatnonzero(sequence[1:] <= sequence[:-1])
+    first = sequence[np.append(0, drops + 1)]
+    last = sequence[np.append(drops, sequence.size - 1)]
+    return bool(drops.size and (last[1:] > first[:-1]).all() and np.unique(sequence).size == sequence.size)

@@ -1,29 +1,31 @@
-"""A chunk of an MCAP file: found in a damaged file, unpacked, checked, and the messages to keep taken out of it."""
+"""A chunk of an MCAP file: found in a damaged file, unpacked, checked, and and its messages."""
 
 from __future__ import annotations
 
 import re
 import struct
 import zlib
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, BinaryIO
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
 from mcap.opcode import Opcode
 
-from abrace_bags.mcap.index import ChannelTable, MessageFilter
-from abrace_bags.mcap.records import RECORD_HEAD, DamagedError
+from abrace_bags.mcap.records import LARGEST_CHUNK, RECORD_HEAD, DamagedError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Collection, Sequence
 
     from mcap.records import Chunk
     from numpy.typing import NDArray
 
-_CHUNK_HEAD = re.compile(rb"(?=\x06(.{5}\0{3}).{28}(\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4})(.{8}))", re.DOTALL)
+    from abrace_bags.mcap.index import ChannelTable
+
+_CHUNK_HEAD = re.compile(rb"\x06(.{5}\0{3}).{28}(\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4})(.{8})", re.DOTALL)
 """What a chunk's record begins with: opcode, length, times, size, checksum, name of the compression, packed bytes."""
+_CHUNK_OPCODE = b"\x06"
 _HEAD_SIZE = 64
 """Bytes that hold it."""
 _SEARCH_SIZE = 1 << 22
@@ -31,7 +33,7 @@ _SEARCH_SIZE = 1 << 22
 
 MESSAGE_HEAD_SIZE = 31
 """Bytes of a message record before the message: opcode, length, channel, sequence, log time, publish time."""
-_LOG_TIME, _PUBLISH_TIME = 15, 23
+LOG_TIME, PUBLISH_TIME = 15, 23
 """Where the times stand in it."""
 
 
@@ -50,8 +52,12 @@ def find_chunk(file: BinaryIO, begin: int, size: int) -> int | None:
     while begin < size:
         file.seek(begin)
         searched = file.read(_SEARCH_SIZE)
-        for match in _CHUNK_HEAD.finditer(searched):
-            offset = begin + match.start()
+        position = -1
+        while (position := searched.find(_CHUNK_OPCODE, position + 1)) >= 0:
+            match = _CHUNK_HEAD.match(searched, position)
+            if match is None:
+                continue
+            offset = begin + position
             length, packed_size = (int.from_bytes(match[group], "little") for group in (1, 3))
             if 36 + len(match[2]) + packed_size == length <= size - offset - RECORD_HEAD.size:
                 return offset
@@ -69,6 +75,8 @@ def unpack(chunk: Chunk) -> bytes:
         If it does not unpack, or does not fit its checksum.
     """
     size = chunk.uncompressed_size
+    if size > LARGEST_CHUNK:
+        raise DamagedError(f"does not unpack: has {size} bytes, expected at most {LARGEST_CHUNK}")
     try:
         if chunk.compression == "zstd":
             frame_size = zstandard.frame_content_size(chunk.data)
@@ -76,7 +84,7 @@ def unpack(chunk: Chunk) -> bytes:
                 raise DamagedError(f"does not unpack: is {frame_size} bytes, expected {size}")
             records = zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=size)
         elif chunk.compression == "lz4":
-            records = bytes(lz4.frame.decompress(chunk.data))
+            records = bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1))
         elif chunk.compression == "":
             records = chunk.data
         else:
@@ -95,11 +103,12 @@ def unpack_beginning(chunk: Chunk) -> bytes:
     a file may end in zeros that were never written: a record that ends in them is not known to be whole.
     """
     records = b""
+    size = min(chunk.uncompressed_size, LARGEST_CHUNK)
     try:
         if chunk.compression == "zstd":
-            records = zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
+            records = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size)
         elif chunk.compression == "lz4":
-            records = bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data))
+            records = bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size))
         elif chunk.compression == "":
             records = chunk.data
     except (zstandard.ZstdError, RuntimeError, MemoryError):
@@ -154,158 +163,98 @@ def record_offsets(records: bytes, message_offsets: Sequence[NDArray[np.int64]])
     return np.array(walked, np.int64)
 
 
-@dataclass
-class Stream:
-    """Messages of one channel: for each length that occurs, their numbers and their records.
+@dataclass(frozen=True)
+class Messages:
+    """Messages of a chunk, in the order in which they were written.
 
     Parameters
     ----------
-    count
-        Messages.
-    file_numbers
-        Their numbers among the messages of all channels, chunk by chunk.
-    blocks
-        By length of the message: numbers among those of the channel, and records, chunk by chunk.
+    offset
+        Of the chunk in its file; tells chunks of a file apart.
+    records
+        The chunk, unpacked.
+    begins, sizes
+        (messages,) where each message's record begins in it, and its bytes.
+    channel_ids
+        (messages,)
     """
 
-    count: int = 0
-    file_numbers: list[NDArray[np.int64]] = field(default_factory=list)
-    blocks: dict[int, list[tuple[NDArray[np.int64], NDArray[np.void]]]] = field(default_factory=dict)
-
-    def append(
-        self, records: bytes, offsets: NDArray[np.int64], sizes: NDArray[np.int64], file_numbers: NDArray[np.int64]
-    ) -> None:
-        """Add messages: those of `sizes` bytes at `offsets` in the `records` of a chunk, with their `file_numbers`."""
-        self.file_numbers.append(file_numbers)
-        numbers = np.arange(self.count, self.count + offsets.size)
-        self.count += offsets.size
-        for size in np.unique(sizes).tolist():
-            chosen = sizes == size
-            # a record at every byte of the chunk, of which those that are records are copied
-            everywhere = np.ndarray((len(records) - size + 1,), np.dtype(f"V{size}"), records, strides=(1,))
-            block = (numbers[chosen], everywhere[offsets[chosen]])
-            self.blocks.setdefault(size - MESSAGE_HEAD_SIZE, []).append(block)
+    offset: int
+    records: bytes
+    begins: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+    channel_ids: NDArray[np.uint16]
 
     @property
     def log_time(self) -> NDArray[np.int64]:
         """(messages,) [ns]."""
-        return self._times(_LOG_TIME)
+        return self.numbers("<i8", LOG_TIME)
 
     @property
     def publish_time(self) -> NDArray[np.int64]:
         """(messages,) [ns]."""
-        return self._times(_PUBLISH_TIME)
+        return self.numbers("<i8", PUBLISH_TIME)
 
-    def _times(self, offset: int) -> NDArray[np.int64]:
-        times = np.empty(self.count, np.int64)
-        for size, blocks in self.blocks.items():
-            for numbers, records in blocks:
-                times[numbers] = records.view(_one_field(size, "<u8", offset))["field"]
-        return times
+    def numbers(self, form: str, offset: int | NDArray[np.int64]) -> NDArray[Any]:
+        """(messages,) the number of this form that each record has at an `offset`."""
+        size = np.dtype(form).itemsize
+        if not self.begins.size:
+            return np.empty(0, form)
+        everywhere = np.ndarray((len(self.records) - size + 1,), form, self.records, strides=(1,))
+        return everywhere[self.begins + offset]
 
-    def payloads(self) -> list[tuple[NDArray[np.int64], NDArray[np.void]]]:
-        """For each length that occurs: numbers of the messages, and their bytes."""
-        payloads = []
-        for size, blocks in self.blocks.items():
-            records = np.concatenate([records for _, records in blocks])
-            payload = records.view(_one_field(size, f"V{size}", MESSAGE_HEAD_SIZE))["field"]
-            payloads.append((np.concatenate([numbers for numbers, _ in blocks]), payload))
-        return payloads
+    def chosen(self, which: NDArray[Any]) -> Messages:
+        """Some of them: `which` is a mask or their numbers."""
+        return Messages(self.offset, self.records, self.begins[which], self.sizes[which], self.channel_ids[which])
 
-    def messages(self) -> Iterator[tuple[int, int, bytes]]:
-        """Log time and publish time [ns] and bytes of every message, in their order."""
-        payloads: list[bytes] = [b""] * self.count
-        for numbers, block in self.payloads():
-            for number, payload in zip(numbers.tolist(), block.tolist(), strict=True):
-                payloads[number] = payload
-        yield from zip(self.log_time.tolist(), self.publish_time.tolist(), payloads, strict=True)
+    def payloads(self) -> list[bytes]:
+        """Their bytes as they came from the wire."""
+        ends = (self.begins + self.sizes).tolist()
+        begins = (self.begins + MESSAGE_HEAD_SIZE).tolist()
+        return [self.records[begin:end] for begin, end in zip(begins, ends, strict=True)]
 
-
-def _one_field(size: int, form: str, offset: int) -> np.dtype[np.void]:
-    """Type of a message record with a payload of `size` bytes, of which one field is read."""
-    itemsize = MESSAGE_HEAD_SIZE + size
-    return np.dtype({"names": ["field"], "formats": [form], "offsets": [offset], "itemsize": itemsize})
+    def kept(self, refused: Collection[int], begin: int | None, end: int | None) -> Messages:
+        """Those that are not of `refused` channels, with log times [ns] from `begin` on and before `end`."""
+        if begin is end is None and not refused:
+            return self
+        keep = ~np.isin(self.channel_ids, list(refused))
+        if begin is not None:
+            keep &= self.log_time >= begin
+        if end is not None:
+            keep &= self.log_time < end
+        return self if keep.all() else self.chosen(keep)
 
 
-@dataclass
-class Selection:
-    """Messages that a filter accepts, collected chunk by chunk.
+def find_messages(
+    offset: int, records: bytes, message_offsets: Sequence[NDArray[np.int64]], table: ChannelTable
+) -> Messages:
+    """The messages of a chunk.
 
     Parameters
     ----------
-    filter
-        Which messages to keep.
+    offset
+        Of the chunk in its file.
+    records, message_offsets
+        As for `record_offsets`.
     table
-        Channels and schemas so far.
-    streams
-        The messages kept, by channel id.
-    counts
-        Messages in the chunks, kept or not, by channel id.
+        Gets the schemas and channels that are in the chunk.
+
+    Raises
+    ------
+    DamagedError
+        If they are not what a chunk may hold.
     """
-
-    filter: MessageFilter
-    table: ChannelTable = field(default_factory=ChannelTable)
-    streams: dict[int, Stream] = field(default_factory=dict)
-    counts: dict[int, int] = field(default_factory=dict)
-
-    def add_chunk(self, records: bytes, message_offsets: Sequence[NDArray[np.int64]]) -> int:
-        """Keep the messages of a chunk that the filter accepts.
-
-        Parameters
-        ----------
-        records, message_offsets
-            As for `record_offsets`.
-
-        Returns
-        -------
-        int
-            Messages in the chunk.
-
-        Raises
-        ------
-        DamagedError
-            If they are not what a chunk may hold; none of them is kept then.
-        """
-        offsets = record_offsets(records, message_offsets)
-        if not offsets.size:
-            return 0
-        sizes = np.append(offsets[1:], len(records)) - offsets
-        opcodes = np.frombuffer(records, np.uint8)[offsets]
-        is_message = opcodes == Opcode.MESSAGE
-        if not is_message.all():
-            for k in np.flatnonzero((opcodes == Opcode.SCHEMA) | (opcodes == Opcode.CHANNEL)):
-                self.table.add(int(opcodes[k]), records[offsets[k] + RECORD_HEAD.size : offsets[k] + sizes[k]])
-            offsets, sizes = offsets[is_message], sizes[is_message]
-            if not offsets.size:
-                return 0
-        if sizes.min() < MESSAGE_HEAD_SIZE:
-            raise DamagedError("holds a message that is too short")
-        channel_ids = np.ndarray((len(records) - 1,), "<u2", records, strides=(1,))[offsets + RECORD_HEAD.size]
-        in_range = self._in_range(records, offsets)
-        counts = np.bincount(channel_ids)
-        before = sum(self.counts.values())
-        for channel_id in np.flatnonzero(counts).tolist():
-            self.counts[channel_id] = self.counts.get(channel_id, 0) + int(counts[channel_id])
-            channel = self.table.channels.get(channel_id)
-            if channel is not None and not self.filter.accepts(channel):
-                continue
-            kept = channel_ids == channel_id
-            if in_range is not None:
-                kept &= in_range
-            self.streams.setdefault(channel_id, Stream()).append(
-                records, offsets[kept], sizes[kept], before + np.flatnonzero(kept)
-            )
-        return int(offsets.size)
-
-    def _in_range(self, records: bytes, offsets: NDArray[np.int64]) -> NDArray[np.bool_] | None:
-        """(messages,) whether they are in the filter's range of time; None where it has none."""
-        begin, end = self.filter.begin, self.filter.end
-        if begin is None and end is None:
-            return None
-        log_time = np.ndarray((len(records) - 7,), "<u8", records, strides=(1,))[offsets + _LOG_TIME]
-        in_range = np.ones(offsets.size, bool)
-        if begin is not None:
-            in_range &= log_time >= max(begin, 0)
-        if end is not None:
-            in_range &= log_time < max(end, 0)
-        return in_range
+    begins = record_offsets(records, message_offsets)
+    sizes = np.append(begins[1:], len(records)) - begins if begins.size else begins
+    opcodes = np.frombuffer(records, np.uint8)[begins] if begins.size else begins
+    is_message = opcodes == Opcode.MESSAGE
+    if not is_message.all():
+        for k in np.flatnonzero((opcodes == Opcode.SCHEMA) | (opcodes == Opcode.CHANNEL)):
+            table.add(int(opcodes[k]), records[begins[k] + RECORD_HEAD.size : begins[k] + sizes[k]])
+        begins, sizes = begins[is_message], sizes[is_message]
+    if not begins.size:
+        return Messages(offset, records, begins, sizes, np.empty(0, np.uint16))
+    if sizes.min() < MESSAGE_HEAD_SIZE:
+        raise DamagedError("holds a message that is too short")
+    channel_ids = np.ndarray((len(records) - 1,), "<u2", records, strides=(1,))[begins + RECORD_HEAD.size]
+    return Messages(offset, records, begins, sizes, channel_ids)

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
+from array import array
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO
 
+import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import AttachmentIndex, Channel, ChunkIndex, Footer, MetadataIndex, Schema, Statistics
-from mcap.writer import MCAP0_MAGIC
+from mcap.records import AttachmentIndex, Channel, Footer, MetadataIndex, Schema, Statistics
 
-from abrace_bags.mcap.records import RECORD_HEAD, DamagedError, next_record, parse
+from abrace_bags.mcap.records import LARGEST_CHUNK, MCAP0_MAGIC, RECORD_HEAD, DamagedError, next_record, parse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from numpy.typing import NDArray
+
 _FOOTER_SIZE = RECORD_HEAD.size + 20
+_CHUNK_INDEX = struct.Struct("<4QI")
+_INDEX_OFFSET = np.dtype([("id", "<u2"), ("offset", "<u8")])
+_BLOCK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -81,14 +88,51 @@ class MessageFilter:
     begin: int | None = None
     end: int | None = None
 
-    def may_match(self, chunk: ChunkIndex, channels: Mapping[int, RecordedChannel]) -> bool:
-        """Whether a chunk may hold such messages, by its index and the file's `channels`."""
-        if self.end is not None and chunk.message_start_time >= self.end:
-            return False
-        if self.begin is not None and chunk.message_end_time < self.begin:
-            return False
-        held = [channels.get(number) for number in chunk.message_index_offsets]
-        return not held or any(channel is None or self.accepts(channel) for channel in held)
+
+class ChunkTable:
+    """Where the chunks of a file are: a few numbers of each, as a large file has hundreds of thousands.
+
+    Attributes
+    ----------
+    offsets, starts, ends
+        (chunks,) first byte, and times of the first and the last message [ns].
+    held
+        (chunks,) ids of the channels that a chunk has messages of; empty where it does not say.
+    """
+
+    def __init__(self) -> None:
+        self.offsets, self.starts, self.ends = array("Q"), array("Q"), array("Q")
+        self.held: list[frozenset[int]] = []
+        self._known: dict[bytes, frozenset[int]] = {}
+
+    def __len__(self) -> int:
+        return len(self.offsets)
+
+    def add(self, body: bytes) -> None:
+        """Add a chunk index, the `body` of its record."""
+        try:
+            start, end, offset, _, length = _CHUNK_INDEX.unpack_from(body)
+            ids = np.frombuffer(body, _INDEX_OFFSET, length // 10, _CHUNK_INDEX.size)["id"].tobytes()
+        except (struct.error, ValueError) as error:
+            raise DamagedError("has lengths that don't fit") from error
+        self.starts.append(start)
+        self.ends.append(end)
+        self.offsets.append(offset)
+        if ids not in self._known:
+            self._known[ids] = frozenset(np.frombuffer(ids, "<u2").tolist())
+        self.held.append(self._known[ids])
+
+    def matching(self, message_filter: MessageFilter, channels: Mapping[int, RecordedChannel]) -> NDArray[np.intp]:
+        """Numbers of the chunks in which `message_filter` may keep messages of the file's `channels`, in its order."""
+        refused = {number for number, channel in channels.items() if not message_filter.accepts(channel)}
+        wanted = {held: not held or bool(held - refused) for held in set(self.held)}
+        matching = np.array([wanted[held] for held in self.held], bool)
+        if message_filter.begin is not None:
+            matching &= np.array(self.ends, np.uint64) >= max(message_filter.begin, 0)
+        if message_filter.end is not None:
+            matching &= np.array(self.starts, np.uint64) < max(message_filter.end, 0)
+        numbers = np.flatnonzero(matching)
+        return numbers[np.argsort(np.array(self.offsets, np.uint64)[numbers], kind="stable")]
 
 
 @dataclass
@@ -103,8 +147,10 @@ class SummarySection:
         All schemas and channels.
     message_counts
         By channel id; None where there are no statistics.
+    first_time, last_time
+        Of its messages, by the statistics [ns].
     chunks
-        In the order of the file.
+        Where they are.
     other_offsets
         Where attachments and metadata records begin.
     complete
@@ -114,7 +160,9 @@ class SummarySection:
     start: int
     table: ChannelTable = field(default_factory=ChannelTable)
     message_counts: Mapping[int, int] | None = None
-    chunks: list[ChunkIndex] = field(default_factory=list)
+    first_time: int = 0
+    last_time: int = 0
+    chunks: ChunkTable = field(default_factory=ChunkTable)
     other_offsets: list[int] = field(default_factory=list)
     complete: bool = False
 
@@ -141,27 +189,24 @@ def read_summary(file: BinaryIO, size: int) -> SummarySection | None:
         raise DamagedError("does not fit the file")
     summary = SummarySection(footer.summary_start or footer_offset)
     file.seek(summary.start)
-    if zlib.crc32(file.read(footer_offset - summary.start + _FOOTER_SIZE - 4)) != footer.summary_crc:
-        raise DamagedError("does not fit its checksum")
-    file.seek(summary.start)
-    records = []
-    while file.tell() < footer_offset:
-        records.append(next_record(file, size))
-    statistics = None
-    for opcode, body in sorted(records, key=lambda record: record[0]):  # schemas before channels
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+    content = _checked(file, footer_offset - summary.start + _FOOTER_SIZE - 4, footer.summary_crc)
+    records: dict[int, list[bytes]] = {}
+    position, end = 0, footer_offset - summary.start
+    while position < end:
+        opcode, length = RECORD_HEAD.unpack_from(content, position)
+        position += RECORD_HEAD.size + length
+        records.setdefault(opcode, []).append(content[position - length : position])
+    for opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+        for body in records.get(opcode, ()):
             summary.table.add(opcode, body)
-        elif opcode == Opcode.CHUNK_INDEX:
-            summary.chunks.append(parse(ChunkIndex, body))
-        elif opcode == Opcode.ATTACHMENT_INDEX:
-            summary.other_offsets.append(parse(AttachmentIndex, body).offset)
-        elif opcode == Opcode.METADATA_INDEX:
-            summary.other_offsets.append(parse(MetadataIndex, body).offset)
-        elif opcode == Opcode.STATISTICS:
-            statistics = parse(Statistics, body)
-    summary.chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
-    if statistics is not None:
+    for body in records.get(Opcode.CHUNK_INDEX, ()):
+        summary.chunks.add(body)
+    summary.other_offsets = [parse(AttachmentIndex, body).offset for body in records.get(Opcode.ATTACHMENT_INDEX, ())]
+    summary.other_offsets += [parse(MetadataIndex, body).offset for body in records.get(Opcode.METADATA_INDEX, ())]
+    for body in records.get(Opcode.STATISTICS, ()):
+        statistics = parse(Statistics, body)
         summary.message_counts = statistics.channel_message_counts
+        summary.first_time, summary.last_time = statistics.message_start_time, statistics.message_end_time
         counted = statistics.attachment_count + statistics.metadata_count
         summary.complete = (
             len(summary.table.schemas) == statistics.schema_count
@@ -170,3 +215,17 @@ def read_summary(file: BinaryIO, size: int) -> SummarySection | None:
             and len(summary.chunks) == statistics.chunk_count
         )
     return summary
+
+
+def _checked(file: BinaryIO, size: int, checksum: int) -> bytes:
+    """The next `size` bytes of a file, if they fit their `checksum`; the size may be damaged, too."""
+    if size > LARGEST_CHUNK:
+        raise DamagedError(f"has {size} bytes, expected at most {LARGEST_CHUNK}")
+    found = 0
+    begin = file.tell()
+    for position in range(0, size, _BLOCK):
+        found = zlib.crc32(file.read(min(_BLOCK, size - position)), found)
+    if found != checksum:
+        raise DamagedError("does not fit its checksum")
+    file.seek(begin)
+    return file.read(size)

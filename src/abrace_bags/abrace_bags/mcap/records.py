@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import operator
-import os
 import struct
 import zlib
 from typing import TYPE_CHECKING, BinaryIO, TypeVar
@@ -13,13 +12,15 @@ from typing import TYPE_CHECKING, BinaryIO, TypeVar
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Metadata, Schema
-from mcap.writer import MCAP0_MAGIC
 
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
+
+MCAP0_MAGIC = b"\x89MCAP0\r\n"
+"""At the beginning and at the end of a file; `mcap.writer`, which has it too, takes long to import."""
 
 FACTS_RECORD = "abrace"
 """Name of the metadata record that holds the run's facts."""
@@ -30,11 +31,19 @@ CHECKSUM_KEY = "checksum"
 RECORD_HEAD = struct.Struct("<BQ")
 """Before the content of every record: its opcode and the content's length."""
 
+LARGEST_CHUNK = 1 << 29
+"""Bytes of a chunk, packed or unpacked, and of any other record: what claims to be larger is damaged. The logger takes
+no message of more than half as much."""
+_TRUSTED = 1 << 24
+"""Bytes of a record that are read before its lengths are compared with each other."""
+
 _EXACT = (Attachment, Channel, Chunk, Header, Metadata, Schema)
 """Records of the data section end with their last known field. Those of the summary section, which has a checksum, may
 have further fields of a later version of MCAP."""
 _WITH_TEXTS = (Channel, Metadata)
 _U64 = struct.Struct("<Q")
+_CHUNK_NAME_LENGTH = struct.Struct("<28xI")
+_INDEX_LENGTH = struct.Struct("<2xI")
 
 Record = TypeVar("Record", bound=McapRecord)
 
@@ -118,34 +127,58 @@ def open_mcap(path: Path) -> Iterator[BinaryIO]:
 
 
 def next_record(file: BinaryIO, size: int) -> tuple[int, bytes]:
-    """Opcode and content of the next record of a file of `size` bytes."""
+    """Opcode and content of the next record of a file of `size` bytes.
+
+    Raises
+    ------
+    DamagedError
+        If the file ends before it does, or its length can't be right.
+    """
+    opcode, length = record_head(file, size)
+    if length > _TRUSTED:
+        _check_length(file, opcode, length)
+    try:
+        return opcode, file.read(length)
+    except MemoryError as error:
+        raise DamagedError(f"has {length} bytes, more than there is memory") from error
+
+
+def record_head(file: BinaryIO, size: int) -> tuple[int, int]:
+    """Opcode and length of the next record of a file of `size` bytes, which holds the whole of it.
+
+    Raises
+    ------
+    DamagedError
+        If the file ends before it does.
+    """
     head = file.read(RECORD_HEAD.size)
     if len(head) < RECORD_HEAD.size:
         raise DamagedError("is not whole")
     opcode, length = RECORD_HEAD.unpack(head)
     if length > size - file.tell():
         raise DamagedError("is not whole")
-    return opcode, file.read(length)
+    return opcode, length
 
 
-def read_facts_record(path: Path) -> dict[str, str] | None:
-    """The run's facts in one file, read no further than to them; None where it has none.
-
-    Raises
-    ------
-    AbraceError
-        If the file can't be read, is not MCAP, or its facts are damaged.
-    """
-    with open_mcap(path) as file, contextlib.suppress(DamagedError):
-        size = os.fstat(file.fileno()).st_size
-        opcode = 0
-        while opcode != Opcode.DATA_END:
-            opcode, body = next_record(file, size)
-            if opcode == Opcode.METADATA:
-                record = parse(Metadata, body, exact=False)  # the facts have a checksum of their own
-                if record.name == FACTS_RECORD:
-                    return checked_facts(path, record.metadata)
-    return None
+def _check_length(file: BinaryIO, opcode: int, length: int) -> None:
+    """Compare the `length` of a large record with what its content says, before that is read into memory."""
+    if length > LARGEST_CHUNK:
+        raise DamagedError(f"has {length} bytes, expected at most {LARGEST_CHUNK}")
+    begin = file.tell()
+    if opcode == Opcode.CHUNK:
+        fixed = file.read(_CHUNK_NAME_LENGTH.size)
+        named = _CHUNK_NAME_LENGTH.unpack(fixed)[0]
+        file.seek(begin + len(fixed) + named)
+        expected = len(fixed) + named + _U64.size + _U64.unpack(file.read(_U64.size))[0]
+    elif opcode == Opcode.MESSAGE_INDEX:
+        expected = 6 + _INDEX_LENGTH.unpack(file.read(_INDEX_LENGTH.size))[0]
+    elif opcode in (Opcode.ATTACHMENT, Opcode.MESSAGE):
+        return
+    else:
+        raise DamagedError(f"has {length} bytes, expected at most {_TRUSTED}")
+    if expected != length:
+        raise DamagedError("has lengths that don't fit")
+    file.seek(begin)
 
 
 def facts_checksum(facts: Mapping[str, str]) -> str:

@@ -20,15 +20,15 @@ from abrace_bags.playback import (
     RESPONSE_TYPE,
     Answers,
     BagPlayback,
+    bag_to_replay,
     check_clock,
     check_type,
-    excerpt,
     replayed_qos,
     response_topic,
     sibling_topic,
-    without_commands,
 )
-from abrace_bags.raw import RawMessage, RecordedTopic, read_raw
+from abrace_bags.raw import RecordedTopic
+from abrace_bags.survey import RawMessage
 from abrace_core.errors import AbraceError
 from abrace_core.node import DISPLAY_PERIOD, KEPT_STREAM_QOS, AbraceNode, Parameter, RCLError, rcl_message, run
 from abrace_core.progress import Step
@@ -36,7 +36,12 @@ from abrace_interfaces.msg import BraceCommand
 
 PARAMETERS = [
     Parameter("bag", "", "bag to replay: a directory or a file", required=True),
-    Parameter("topics", [], "topics to replay, whole names or ends of them; empty: all that no rig obeys", element=str),
+    Parameter(
+        "topics",
+        [],
+        "topics to replay, whole names or ends of them; empty: all but hidden ones and those a rig obeys",
+        element=str,
+    ),
     Parameter("rate", 1.0, "bag time over time; not in lockstep", minimum=0.001, maximum=1e6),
     Parameter("loop", False, "begin again at the end"),
     Parameter("start_offset", 0.0, "s after the first of the messages, where to begin", minimum=0.0, maximum=1e9),
@@ -61,16 +66,11 @@ class Replay(AbraceNode):
     def __init__(self) -> None:
         super().__init__("replay", PARAMETERS)
         given = self.parameters
-        bag = read_raw(given.bag, given.topics)
-        bag = bag if given.topics else without_commands(bag)
-        try:
-            messages = excerpt(bag.messages, given.start_offset, given.duration)
-        except AbraceError as error:
-            raise AbraceError("; ".join([f"bag {given.bag}: {error}", *bag.warnings])) from error
-        self.playback = BagPlayback(messages, given.rate, given.loop)
-        answered = response_topic(bag.topics, messages) if given.lockstep else ""
+        bag = bag_to_replay(given.bag, given.topics, given.start_offset, given.duration)
+        self.playback = BagPlayback(bag, given.rate, given.loop)
+        answered = response_topic(bag) if given.lockstep else ""
         if given.clock:
-            check_clock(given.bag, bag.topics, messages)
+            check_clock(given.bag, bag)
         self.outputs = {name: self.output(topic) for name, topic in bag.topics.items()}
         for warning in bag.warnings:
             self.get_logger().warning(warning)
@@ -255,7 +255,8 @@ class Replay(AbraceNode):
         return None, message, {"played": self.playback.played, "fraction": round(self.playback.fraction, 4)}
 
     def close(self) -> None:
-        """Show how it ended."""
+        """Show how it ended, with the count of the last message."""
+        self.progress.update(self.playback.fraction, f"{self.playback.played} messages")
         self.progress.close("done in" if self.exit_code == 0 else "failed after" if self.exit_code else "stopped after")
 
 

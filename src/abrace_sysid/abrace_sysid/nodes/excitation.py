@@ -71,7 +71,7 @@ class Excitation(BraceCommander):
         return self.signal[index] if index < len(self.signal) else self.nothing
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `diagnostics`, with how far the signal is."""
+        """State for `/diagnostics`, with how far the signal is."""
         fault, message, values = super().diagnose()
         if self.configured and self.watch.sequence >= 0:
             rate, played = self.parameters.sample_rate, self.watch.sequence - self.first + 1

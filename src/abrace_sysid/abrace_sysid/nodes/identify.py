@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any, get_args
 
-from abrace_bags import read_run
+from abrace_bags import read_runs
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
@@ -68,9 +68,9 @@ class Identify(AbraceNode):
             print(f"{fraction:4.0%} {step} ({time.monotonic() - begin:.1f} s)", flush=True)
 
         progress("reading the bags", 0.0)
-        runs = {bag: read_run(bag, whole=False) for bag in dict.fromkeys((*given.table, *given.command))}
+        runs = {bag: read_runs(bag) for bag in dict.fromkeys((*given.table, *given.command))}
         for recorded in runs.values():
-            for warning in recorded.facts.get("warnings", []):
+            for warning in recorded[0].facts.get("warnings", []):
                 self.get_logger().warning(warning)
         options = IdentificationOptions(
             transfer_function=TransferFunctionOptions(**{name: getattr(given, name) for name in TRANSFER_FUNCTION}),
@@ -81,7 +81,8 @@ class Identify(AbraceNode):
             servo_lag=given.servo_lag,
             reduced_order=given.reduced_order,
         )
-        found = identify([runs[bag] for bag in given.table], [runs[bag] for bag in given.command], options, progress)
+        table, command = ([run for bag in bags for run in runs[bag]] for bags in (given.table, given.command))
+        found = identify(table, command, options, progress)
         for warning in found.warnings:
             self.get_logger().warning(warning)
         output = Path(given.output)
