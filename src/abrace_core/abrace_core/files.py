@@ -59,7 +59,7 @@ def make_folder(path: Path, *, new: bool = False) -> None:
     new
         Whether it is an error (FileExistsError) that it exists.
     """
-    if not path.parent.is_dir():
+    if not path.parent.exists():
         make_folder(path.parent)
     try:
         path.mkdir()
