@@ -341,6 +341,13 @@ def test_a_killed_logger_leaves_all_but_its_last_moments_whenever_it_is_killed()
 
 
 @pytest.mark.usefixtures("domain")
+def test_a_power_loss_takes_the_last_moments_whenever_it_comes():
+    found = logger_endurance.power_losses(10, loggers=1, duration=2.0)
+    assert found["opened"] == found["runs"] == 10
+    assert found["worst_missing_seconds"] < 1.5
+
+
+@pytest.mark.usefixtures("domain")
 def test_nothing_is_lost_of_three_topics_at_500_hz():
     found = logger_endurance.record_steadily(duration=2.0)
     assert found["messages"] == 3000

@@ -82,7 +82,7 @@ class Recording:
         bag: BagWriter,
         flush_interval: float,
         *,
-        sync_interval: float = 1.0,
+        sync_interval: float = 0.5,
         snapshot: float = 0.0,
         capacity: int | None = None,
         lockstep: bool = False,

@@ -36,7 +36,7 @@ PARAMETERS = [
     Parameter("snapshot", 0.0, "s to keep in memory, written on `~/snapshot` alone; 0: all", minimum=0.0, maximum=1e6),
     Parameter("autostart", True, "record at once; false: wait for `~/start`"),
     Parameter("flush_interval", 0.1, "s between flushes: what a killed logger may lose", minimum=0.01, maximum=10.0),
-    Parameter("sync_interval", 1.0, "s between syncs: what a power loss may take besides", minimum=0.1, maximum=600.0),
+    Parameter("sync_interval", 0.5, "s between syncs: what a power loss may take besides", minimum=0.1, maximum=600.0),
     Parameter("lockstep", False, "log time is that of the rig's samples (their stamps), not the clock's"),
 ]
 
