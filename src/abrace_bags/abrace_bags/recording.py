@@ -250,17 +250,20 @@ class Recording:
 
     def _write_waiting(self) -> None:
         """Write what waits, or a part of it that does not take long."""
-        waiting, write, end = self._waiting, self._bag.write, self._bytes_out + _WRITTEN_AT_ONCE
-        while waiting and self._bytes_out < end:
+        waiting, write = self._waiting, self._bag.write
+        done = self._bytes_out
+        end = done + _WRITTEN_AT_ONCE
+        while waiting and done < end:
             topic_id, payload, log_time, publish_time = waiting[0]
+            done += _OVERHEAD
             if callable(payload):
                 payload()
-                self._bytes_out += _OVERHEAD
             else:
                 write(topic_id, payload, log_time, publish_time)
-                self._bytes_out += len(payload) + _OVERHEAD
+                done += len(payload)
             # what fails still waits: it is counted as lost
             waiting.popleft()
+            self._bytes_out = done
         if waiting:
             self._wake.set()
 
