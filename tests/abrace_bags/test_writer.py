@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import errno
+import gc
 import json
 import os
 import resource
 import struct
 import threading
 import time
+import tracemalloc
 from typing import TYPE_CHECKING, Any
 
 import mcap.reader
@@ -401,6 +403,58 @@ def test_what_fails_in_the_thread_costs_nothing_that_was_written_before(tmp_path
     assert lost_messages(bag.records) == {"/note": 17}
     with Reader(tmp_path / "bag") as reader:
         assert reader.message_count == 32
+
+
+def test_who_records_never_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def write(*message: Any) -> None:
+        assert disk.wait(60)
+        written(*message)
+
+    disk = threading.Event()
+    for name, snapshot in (("all", 0.0), ("snapshot", 10.0)):
+        bag = BagWriter(tmp_path / name, {})
+        written = bag.write
+        disk.clear()
+        monkeypatch.setattr(bag, "write", write)
+        recording = Recording(bag, 0.01, snapshot=snapshot)
+        first = recording.add_topic("/note", STRING, TEXT, "RIHS01_0")
+        for k in range(3):
+            recording.write(first, note(str(k)), START + k, START)
+        if snapshot:
+            assert recording.write_snapshot() == 3
+        second = recording.add_topic("/later", STRING, TEXT, "RIHS01_0")
+        recording.split()
+        recording.interrupt()
+        recording.write(second, note("3"), START + 3, START)
+        if snapshot:
+            assert recording.write_snapshot() == 1
+        recording.check()
+        assert bag.counts().get("/note") is None or bag.counts()["/note"].messages == 0, "the disk has not begun"
+        disk.set()
+        recording.close()
+        assert notes_of(tmp_path / name) == ["0", "1", "2"]
+        assert list(read_topics(tmp_path / name / f"{name}_1.mcap")["/later"].fields["data"]) == ["3"]
+
+
+def test_a_chunk_takes_little_memory_for_as_long_as_its_file_is_written(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        topics = [bag.add_topic(f"/note_{k}", STRING, TEXT, "RIHS01_0") for k in range(4)]
+
+        def write_chunks(count: int) -> int:
+            for k in range(count):
+                for topic in topics:
+                    bag.write(topic, note(str(k)), START, START)
+                bag.flush()
+            gc.collect()
+            return tracemalloc.get_traced_memory()[0]
+
+        tracemalloc.start()
+        try:
+            before = write_chunks(200)
+            taken = (write_chunks(2000) - before) / 2000
+        finally:
+            tracemalloc.stop()
+    assert taken < 250, "bytes: at ten chunks a second 9 MB an hour, when by default the next file begins"
 
 
 def test_a_closed_bag_takes_nothing_more(tmp_path: Path) -> None:
