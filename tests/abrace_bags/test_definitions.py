@@ -88,7 +88,14 @@ def test_malformed_definition_names_file_and_line(prefix: Path) -> None:
 
 
 @pytest.mark.skipif("abrace_interfaces" not in os.environ.get("AMENT_PREFIX_PATH", ""), reason="no sourced workspace")
-@pytest.mark.parametrize("name", ["abrace_interfaces/msg/Response", "abrace_interfaces/msg/BraceCommand"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "abrace_interfaces/msg/Response",
+        "abrace_interfaces/msg/BraceCommand",
+        "abrace_interfaces/action/PlayGroundMotion_FeedbackMessage",
+    ],
+)
 def test_installed_interfaces_have_the_hash_that_rosbags_computes(name: str) -> None:
     found = message_definition(name)
     store = get_typestore(Stores.ROS2_JAZZY)

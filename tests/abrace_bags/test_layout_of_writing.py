@@ -29,8 +29,7 @@ def test_a_recorded_message_passes_at_most_four_objects(tmp_path: Path) -> None:
     sys.setprofile(profile)
     try:
         recording = Recording(BagWriter(tmp_path / "bag", {}), 10.0)
-        with recording.bag() as bag:
-            topic = bag.add_topic("/response", "test_msgs/msg/Numbered", DEFINITION, "")
+        topic = recording.add_topic("/response", "test_msgs/msg/Numbered", DEFINITION, "")
         recording.write(topic, payload, 1, 1)
         recording.close()
     finally:

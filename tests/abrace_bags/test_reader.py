@@ -191,7 +191,7 @@ def test_topic_is_announced_once_with_known_qos(tmp_path: Path) -> None:
     assert list(read_topics(tmp_path / "bag")) == ["/note"]
 
 
-def test_negative_time_is_refused_and_harms_nothing(tmp_path: Path) -> None:
+def test_a_writer_refuses_a_negative_time_and_writes_on(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", {}) as bag:
         note = bag.add_topic("/note", STRING, DEFINITIONS[STRING], HASHES[STRING])
         with pytest.raises(AbraceError, match="-5 ns"):

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import errno
+import gc
 import json
 import os
 import resource
 import struct
 import threading
+import time
+import tracemalloc
 from typing import TYPE_CHECKING, Any
 
 import mcap.reader
@@ -15,16 +18,17 @@ import mcap.stream_reader
 import numpy as np
 import pytest
 import yaml
-from rosbags.interfaces import QosReliability
+from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from abrace_bags import BagWriter, read_facts, read_topics
+from abrace_bags.losses import lost_messages
 from abrace_bags.mcap.attachments import file_attachments
 from abrace_bags.mcap.file_writer import McapWriter
 from abrace_bags.metadata import installed_versions
 from abrace_bags.qos import DEFAULT_QOS
-from abrace_bags.recording import Recording, parse_facts
+from abrace_bags.recording import TRANSIENT_LOCAL_KEPT, Recording, parse_facts
 from abrace_bags.topic_choice import TopicChoice
 from abrace_core import wire
 from abrace_core.errors import AbraceError
@@ -51,9 +55,9 @@ def note(text: str) -> bytes:
     return bytes(STORE.serialize_cdr(STORE.types[STRING](data=text), STRING))
 
 
-def numbered(sequence: int, frame_id: str = "") -> bytes:
+def numbered(sequence: int, frame_id: str = "", stamp: int = SECOND + 2) -> bytes:
     text = frame_id.encode() + b"\0"
-    head = wire.LITTLE_ENDIAN + struct.pack("<iII", 1, 2, len(text)) + text
+    head = wire.LITTLE_ENDIAN + struct.pack("<iII", *divmod(stamp, SECOND), len(text)) + text
     return head + bytes((4 - len(head)) % 8) + struct.pack("<Q", sequence)
 
 
@@ -209,13 +213,11 @@ def test_an_interruption_is_no_gap(tmp_path: Path) -> None:
 
 def test_the_thread_writes_everything_in_order(tmp_path: Path) -> None:
     recording = Recording(BagWriter(tmp_path / "bag", {}), 0.01)
-    with recording.bag() as bag:
-        topic = bag.add_topic("/note", STRING, TEXT, "RIHS01_0")
+    topic = recording.add_topic("/note", STRING, TEXT, "RIHS01_0")
     for k in range(3000):
         recording.write(topic, note(str(k)), START + k, START)
         if k == 1500:
-            with recording.bag() as bag:
-                bag.split()
+            recording.split()
     recording.close()
     assert notes_of(tmp_path / "bag") == [str(k) for k in range(3000)]
     assert notes_of(tmp_path / "bag/bag_0.mcap") == [str(k) for k in range(1501)]
@@ -260,13 +262,11 @@ def test_a_full_disk_is_an_error_of_the_recording(tmp_path: Path) -> None:
 def test_a_split_that_fails_ends_the_thread_without_a_traceback(tmp_path: Path) -> None:
     recording = Recording(BagWriter(tmp_path / "bag", {}), 0.01)
     (tmp_path / "bag").rename(tmp_path / "elsewhere")
-    with pytest.raises(AbraceError, match=r"cannot write bag .*bag: No such file"), recording.bag() as bag:
-        bag.split()
-    for thread in threading.enumerate():
-        if thread.name == "bag":
-            thread.join()
-    with pytest.raises(AbraceError, match="No such file"):
+    recording.split()
+    with pytest.raises(AbraceError, match=r"cannot write bag .*bag: No such file"):
         recording.close()
+    with pytest.raises(AbraceError, match="No such file"):
+        recording.check()
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
@@ -297,29 +297,32 @@ def test_a_file_that_cannot_be_begun_does_not_cost_those_before_it(
     with pytest.raises(AbraceError, match=r"cannot write bag .*bag: No space left on device"):
         bag.split()
     assert bag.closed
-    assert [path.name for path in (tmp_path / "bag").iterdir()] == ["bag_0.mcap"]
+    assert sorted(path.name for path in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+    with Reader(tmp_path / "bag") as reader:
+        assert reader.message_count == 100
     assert notes_of(tmp_path / "bag") == texts
 
 
 def test_a_file_is_seen_from_when_it_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def flush(file: McapWriter) -> None:
+    def append(file: McapWriter, content: bytes) -> None:
         seen.append([len(read_topics(path)) for path in sorted((tmp_path / "bag").glob("*.mcap"))])
-        flushed(file)
+        appended(file, content)
 
     seen: list[list[int]] = []
-    flushed = McapWriter.flush
-    monkeypatch.setattr(McapWriter, "flush", flush)
+    appended = McapWriter._append
+    monkeypatch.setattr(McapWriter, "_append", append)
     with BagWriter(tmp_path / "bag", {}) as bag:
         write_notes(bag, 10)
         bag.split()
-    assert seen == [[], [0], [1], [1, 0], [1, 0]], "topics in each file"
+    changes = [files for files, before in zip(seen, [None, *seen], strict=False) if files != before]
+    assert changes == [[], [0], [1], [1, 0]], "topics in each file"
 
 
 def test_an_interruption_of_a_recording_is_no_gap(tmp_path: Path) -> None:
     for name, snapshot in (("all", 0.0), ("snapshot", 2.0)):
         bag = BagWriter(tmp_path / name, {})
         topic = bag.add_topic("/response", NUMBERED, NUMBERED_TEXT, "RIHS01_0")
-        recording = Recording(bag, 0.01, snapshot)
+        recording = Recording(bag, 0.01, snapshot=snapshot)
         for sequence in (0, 1, 50, 52):
             if sequence == 50:
                 recording.interrupt()
@@ -330,24 +333,181 @@ def test_an_interruption_of_a_recording_is_no_gap(tmp_path: Path) -> None:
         assert (bag.counts()["/response"].gaps, bag.counts()["/response"].missing) == (1, 1)
 
 
-def test_a_snapshot_stays_small_and_drops_times_to_come(tmp_path: Path) -> None:
-    bag = BagWriter(tmp_path / "bag", {})
-    topic = bag.add_topic("/note", STRING, TEXT, "RIHS01_0")
-    recording = Recording(bag, 10.0, 2.0, capacity=100_000)
+def test_a_snapshot_stays_small(tmp_path: Path) -> None:
+    recording = Recording(BagWriter(tmp_path / "bag", {}), 10.0, snapshot=2.0, capacity=100_000)
+    topic = recording.add_topic("/note", STRING, TEXT, "RIHS01_0")
     recording.write(topic, bytes(200_000), START, START)
     for k in range(1000):
         recording.write(topic, note(str(k)), START + k, START)
     assert 400 < recording.write_snapshot() < 500, "a message takes some 200 bytes in addition to its own"
-    recording.write(topic, note("the clock is set back"), START, START)
-    recording.write(topic, note("then"), START - 3600 * SECOND, START)
-    assert recording.write_snapshot() == 1
     recording.close()
 
 
+def test_a_snapshot_drops_times_to_come(tmp_path: Path) -> None:
+    recording = Recording(BagWriter(tmp_path / "bag", {}), 10.0, snapshot=2.0)
+    topic = recording.add_topic("/note", STRING, TEXT, "RIHS01_0")
+    recording.write(topic, note("before the clock is set back"), START, START)
+    recording.write(topic, note("then"), START - 3600 * SECOND, START)
+    assert recording.write_snapshot() == 1
+    recording.close()
+    assert notes_of(tmp_path / "bag") == ["then"]
+
+
+def test_a_snapshot_has_the_last_messages_of_transient_local_topics_however_old(tmp_path: Path) -> None:
+    recording = Recording(BagWriter(tmp_path / "bag", {}), 0.01, snapshot=2.0)
+    latched = DEFAULT_QOS._replace(durability=QosDurability.TRANSIENT_LOCAL)
+    description = recording.add_topic("/description", STRING, TEXT, "RIHS01_0", latched)
+    topic = recording.add_topic("/note", STRING, TEXT, "RIHS01_0")
+    for k in range(TRANSIENT_LOCAL_KEPT + 50):
+        recording.write(description, note(str(k)), START - 1000 + k, START)
+    for k in range(100):
+        recording.write(topic, note(str(k)), START + k * SECOND, START)
+    assert recording.write_snapshot() == TRANSIENT_LOCAL_KEPT + 3
+    recording.write(topic, note("later"), START + 200 * SECOND, START)
+    assert recording.write_snapshot() == 1, "nothing is written twice"
+    recording.close()
+    found = read_topics(tmp_path / "bag")
+    assert list(found["/description"].fields["data"]) == [str(k) for k in range(50, TRANSIENT_LOCAL_KEPT + 50)]
+    assert list(found["/note"].fields["data"]) == ["97", "98", "99", "later"]
+
+
+def test_a_time_that_the_middleware_does_not_know_is_replaced_and_counted(tmp_path: Path) -> None:
+    recording = Recording(BagWriter(tmp_path / "bag", {}), 0.01)
+    topic = recording.add_topic("/note", STRING, TEXT, "RIHS01_0")
+    begin = time.time_ns()
+    for k, times in enumerate(((START, START - 1), (START + 1, -1), (-1, START - 1), (-1, -2))):
+        recording.write(topic, note(str(k)), *times)
+    recording.close()
+    assert recording.untimed == {topic: 3}
+    found = read_topics(tmp_path / "bag")["/note"]
+    assert list(found.fields["data"]) == ["0", "1", "2", "3"]
+    assert list(found.log_time[:2]) == [START, START + 1]
+    assert begin <= found.log_time[2] <= found.log_time[3] <= time.time_ns(), "received now"
+    assert list(found.publish_time[:3]) == [START - 1, START + 1, START - 1]
+    assert found.publish_time[3] == found.log_time[3]
+
+
+def test_what_fails_in_the_thread_costs_nothing_that_was_written_before(tmp_path: Path) -> None:
+    recording = Recording(BagWriter(tmp_path / "bag", {}), 10.0)
+    topic = recording.add_topic("/note", STRING, TEXT, "RIHS01_0")
+    for k in range(32):
+        recording.write(topic, note(str(k)), START + k, START)
+    recording.write(topic, note("no such time"), 2**64, START)
+    for k in range(16):
+        recording.write(topic, note(str(k)), START + k, START)
+    with pytest.raises(AbraceError, match=r"cannot write bag .*bag: error\('argument out of range'\)"):
+        recording.close()
+    bag = read_topics(tmp_path / "bag")
+    assert list(bag["/note"].fields["data"]) == [str(k) for k in range(32)]
+    assert bag.warnings == ()
+    assert lost_messages(bag.records) == {"/note": 17}
+    with Reader(tmp_path / "bag") as reader:
+        assert reader.message_count == 32
+
+
+def test_who_records_never_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def write(*message: Any) -> None:
+        assert disk.wait(60)
+        written(*message)
+
+    disk = threading.Event()
+    for name, snapshot in (("all", 0.0), ("snapshot", 10.0)):
+        bag = BagWriter(tmp_path / name, {})
+        written = bag.write
+        disk.clear()
+        monkeypatch.setattr(bag, "write", write)
+        recording = Recording(bag, 0.01, snapshot=snapshot)
+        first = recording.add_topic("/note", STRING, TEXT, "RIHS01_0")
+        for k in range(3):
+            recording.write(first, note(str(k)), START + k, START)
+        if snapshot:
+            assert recording.write_snapshot() == 3
+        second = recording.add_topic("/later", STRING, TEXT, "RIHS01_0")
+        recording.split()
+        recording.interrupt()
+        recording.write(second, note("3"), START + 3, START)
+        if snapshot:
+            assert recording.write_snapshot() == 1
+        recording.check()
+        assert bag.counts().get("/note") is None or bag.counts()["/note"].messages == 0, "the disk has not begun"
+        disk.set()
+        recording.close()
+        assert notes_of(tmp_path / name) == ["0", "1", "2"]
+        assert list(read_topics(tmp_path / name / f"{name}_1.mcap")["/later"].fields["data"]) == ["3"]
+
+
+def test_a_chunk_takes_little_memory_for_as_long_as_its_file_is_written(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        topics = [bag.add_topic(f"/note_{k}", STRING, TEXT, "RIHS01_0") for k in range(4)]
+
+        def write_chunks(count: int) -> int:
+            for k in range(count):
+                for topic in topics:
+                    bag.write(topic, note(str(k)), START, START)
+                bag.flush()
+            gc.collect()
+            return tracemalloc.get_traced_memory()[0]
+
+        tracemalloc.start()
+        try:
+            before = write_chunks(200)
+            taken = (write_chunks(2000) - before) / 2000
+        finally:
+            tracemalloc.stop()
+    assert taken < 250, "bytes: at ten chunks a second 9 MB an hour, when by default the next file begins"
+
+
+def test_a_closed_bag_takes_nothing_more(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        write_notes(bag, 3)
+    for use in (
+        lambda: bag.write(1, note(""), START, START),
+        lambda: bag.add_topic("/other", STRING, TEXT, "RIHS01_0"),
+        bag.flush,
+        bag.sync,
+        bag.split,
+    ):
+        with pytest.raises(AbraceError, match=r"bag .*bag is closed"):
+            use()
+    bag.close()
+    assert bag.counts()["/note"].messages == 3
+
+
+def test_a_bag_that_no_disk_holds_any_more_says_what_is_in_it(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "bag", {}, compression="none")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, limits[1]))
+    try:
+        with pytest.raises(AbraceError, match="File too large"):
+            write_notes(bag, 2000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    information = yaml.safe_load((tmp_path / "bag/metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    kept = len(notes_of(tmp_path / "bag"))
+    assert 500 < information["message_count"] <= kept < 2000, "a part of the last chunk is read, it is not counted"
+
+
+def test_in_lockstep_the_log_time_is_the_time_of_the_sample(tmp_path: Path) -> None:
+    recording = Recording(BagWriter(tmp_path / "bag", {}), 0.01, lockstep=True)
+    response = recording.add_topic("/response", "abrace_interfaces/msg/Response", NUMBERED_TEXT, "RIHS01_0")
+    topic = recording.add_topic("/note", STRING, TEXT, "RIHS01_0")
+    recording.write(topic, note("before"), START, START - 5)
+    for k in range(3):
+        recording.write(response, numbered(k, stamp=k * SECOND), START + k, START + k - 5)
+        recording.write(topic, note(str(k)), START + k, START + k - 5)
+    recording.write(response, b"", START, START)
+    recording.close()
+    found = read_topics(tmp_path / "bag", ["/note"])["/note"]
+    assert list(found.log_time) == [0, 0, SECOND, 2 * SECOND]
+    assert list(found.publish_time) == [START - 5, START - 5, START - 4, START - 3], "as it was"
+    with Reader(tmp_path / "bag") as reader:
+        times = [time for connection, time, _ in reader.messages() if connection.topic == "/response"]
+    assert times == [0, SECOND, 2 * SECOND, 2 * SECOND]
+
+
 def test_a_snapshot_keeps_the_last_seconds_and_nothing_twice(tmp_path: Path) -> None:
-    recording = Recording(BagWriter(tmp_path / "bag", {}), 0.01, 2.0)
-    with recording.bag() as bag:
-        topic = bag.add_topic("/note", STRING, TEXT, "RIHS01_0")
+    recording = Recording(BagWriter(tmp_path / "bag", {}), 0.01, snapshot=2.0)
+    topic = recording.add_topic("/note", STRING, TEXT, "RIHS01_0")
     for k in range(100):
         recording.write(topic, note(str(k)), START + k * SECOND // 10, START)
     assert recording.write_snapshot() == 21

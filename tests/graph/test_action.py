@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
+from rosbags.rosbag2 import Reader
 
+from abrace_bags import read_topics
 from abrace_interfaces.action import PlayGroundMotion
 from abrace_interfaces.msg import Response
 
@@ -46,6 +48,10 @@ def player(graph) -> Player:
 
 
 def test_a_record_is_played_with_feedback_to_its_end(player):
+    graph, names = player.graph, [f"play_ground_motion/_action/{topic}" for topic in ("feedback", "status")]
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag), topics=names)
+    graph.until(lambda: all(graph.values("logger").get(f"publishers of {name}") == "1" for name in names), "a match")
     handle = player.send(record="el_centro", peak_acceleration=0.5, duration=3.0)
     assert handle.accepted
     ended = player.result(handle)
@@ -56,6 +62,15 @@ def test_a_record_is_played_with_feedback_to_its_end(player):
     assert len(elapsed) > 10
     assert elapsed == sorted(elapsed)
     assert {feedback.duration for feedback in player.feedback} == {3.0}
+    assert graph.stop("logger") == 0
+    recorded = read_topics(bag)[f"{graph.namespace}/{names[0]}"]
+    assert list(recorded.fields["feedback.elapsed"]) == elapsed, "hidden topics are recorded by name"
+    assert {bytes(identifier) for identifier in recorded.fields["goal_id.uuid"]} == {bytes(handle.goal_id.uuid)}
+    with Reader(bag) as reader:
+        assert {connection.topic for connection in reader.connections} == {
+            f"{graph.namespace}/{name}" for name in names
+        }
+    graph.until(lambda: np.abs(player.ground).max() > 0.49, "the responses until the peak")
     assert np.abs(player.ground).max() == pytest.approx(0.5, abs=0.01)
 
 

@@ -86,7 +86,12 @@ def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_list
         facts = read_facts(bags / step)
         assert facts["rig"] == "ncree_three_storey"
         assert "masses" in facts["rig_file"]
-        assert read_topics(bags / step, []).attachments.keys() == {"ncree_three_storey.yaml"}
+        topics = read_topics(bags / step)
+        assert topics.attachments.keys() == {"ncree_three_storey.yaml"}
+        drive = {"shaken": "ground_motion", "pushed": "brace_command"}[step]
+        for topic in ("response", drive):
+            assert list(topics[f"/short/{topic}"].log_time) == list(range(0, 4 * 10**9, 2 * 10**6)), "the samples' time"
+        assert topics["/short/diagnostics"].log_time.max() < 4e9
     assert not nodes_of(tmp_path)
 
 

@@ -6,7 +6,6 @@ import json
 import resource
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import logger_endurance
 import mcap.reader
@@ -15,14 +14,16 @@ import pytest
 import rclpy
 import yaml
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu
-from std_msgs.msg import Float64, Header, String
+from std_msgs.msg import Bool, Float64, Header, String
 from std_srvs.srv import Trigger
 
+from abrace.processes.parameter_file import parameter_file
 from abrace_bags import read_facts, read_topics
-from abrace_bags.nodes.logger import Logger, Topic
-from abrace_bags.topic_choice import TopicChoice, common_definition
+from abrace_bags.nodes import raw_subscription
+from abrace_bags.nodes.logger import Logger
+from abrace_core.errors import AbraceError
 from abrace_interfaces.msg import BraceCommand
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -59,6 +60,24 @@ def matched(graph, topic, count=1):
 def publish_numbers(publisher, numbers):
     for number in numbers:
         publisher.publish(Float64(data=float(number)))
+
+
+@pytest.fixture
+def own_logger(graph, domain):
+    """A logger in this process, which receives when it is told to; a test closes it."""
+    made = []
+
+    def make(**parameters):
+        file = parameter_file(graph.folder / "own.yaml", {"output": str(graph.folder / "bag"), **parameters})
+        arguments = ["--ros-args", "-r", f"__ns:={graph.namespace}", "--params-file", str(file)]
+        rclpy.init(args=arguments, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        made.append(Logger())
+        return made[0]
+
+    yield make
+    for logger in made:
+        logger.destroy_node()
+    rclpy.try_shutdown()
 
 
 def test_topics_are_found_by_pattern_whatever_their_type_when_they_appear(graph):
@@ -129,6 +148,7 @@ def test_pause_split_stop_and_start_are_services(graph):
         publish_numbers(value, range(first, first + 5))
         until_counted(graph, "value", first + 5)
         ask(graph, service)
+        graph.until(lambda: graph.values("logger").get("file", "").endswith("bag_1.mcap"), "the next file")
     publish_numbers(value, range(10, 15))
     assert value.wait_for_all_acked()
     ask(graph, "resume")
@@ -146,20 +166,17 @@ def test_pause_split_stop_and_start_are_services(graph):
     assert list(read_topics(bag.with_name("bag_2"))[topic].fields["data"]) == [99]
 
 
-def test_messages_that_came_before_a_pause_are_recorded():
-    written = []
-
-    def receive(most, write):
-        for _ in range(min(most, 2000)):
-            write(b"", 1, 1)
-        return min(most, 2000)
-
-    logger = Logger.__new__(Logger)
-    logger.paused = False
-    logger.recording = SimpleNamespace(write=lambda *message: written.append(message))
-    logger.topics = {"/flood": Topic(SimpleNamespace(receive=receive, transient_local=False), 1)}
+def test_messages_that_came_before_a_pause_are_recorded(graph, own_logger):
+    value = graph.node.create_publisher(Float64, "value", 2000)
+    logger = own_logger(topics=["value"])
+    graph.until(lambda: logger.discover() or value.get_subscription_count(), "a match")
+    publish_numbers(value, range(2000))
+    assert value.wait_for_all_acked()
     assert logger.pause() == "paused"
-    assert len(written) == 2000
+    publish_numbers(value, range(2000, 2010))
+    assert value.wait_for_all_acked()
+    assert logger.stop().endswith("2000 of value")
+    logger.close()
 
 
 def test_a_snapshot_holds_what_was_before_the_request(graph):
@@ -170,7 +187,7 @@ def test_a_snapshot_holds_what_was_before_the_request(graph):
     matched(graph, "value")
     publish_numbers(value, range(50))
     until_counted(graph, "value", 50)
-    assert "wrote 50 messages" in ask(graph, "snapshot")
+    assert "writing 50 messages" in ask(graph, "snapshot")
     publish_numbers(value, range(50, 60))
     until_counted(graph, "value", 60)
     assert graph.stop("logger") == 0
@@ -224,30 +241,56 @@ def test_a_topic_with_two_types_is_a_fault_and_the_others_are_recorded_on(graph,
     assert (bag / "metadata.yaml").is_file()
 
 
-def test_a_topic_is_tried_again_when_its_publishers_change_and_reported_once():
-    found = {"/odd": ["std_msgs/msg/String", "std_msgs/msg/Bool"]}
-    tried, reported = [], []
+def test_a_topic_is_tried_again_when_its_publishers_change_and_reported_once(graph, own_logger, domain, capfd):
+    tried = []
 
     def record(name, publishers):
         tried.append(len(publishers))
-        common_definition(name, publishers)
+        Logger.record(logger, name, publishers)
 
-    logger = Logger.__new__(Logger)
-    logger.recording, logger.matched = object(), 0
-    logger.publish_diagnostics = lambda: reported.extend(logger.errors.values())
-    logger.topics, logger.errors, logger.refused = {}, {}, {}
-    logger.choice, logger.record = TopicChoice(frozenset(found)), record
-    logger.get_topic_names_and_types = found.items
-    logger.count_publishers = lambda name: len(found[name])
-    logger.get_publishers_info_by_topic = lambda name: [TopicEndpointInfo(topic_type=kind) for kind in found[name]]
-    for _ in range(5):
-        logger.discover()
-    assert tried == [2]
-    found["/odd"] = ["std_msgs/msg/String"]
-    logger.discover()
+    strangers = rclpy.Context()
+    strangers.init(domain_id=domain)
+    try:
+        other = rclpy.create_node("stranger", namespace=graph.namespace, context=strangers)
+        other.create_publisher(Bool, "odd", 10)
+        graph.node.create_publisher(String, "odd", 10)
+        logger = own_logger(topics=["odd"])
+        logger.record = record
+        graph.until(lambda: logger.count_publishers("odd") == 2, "both publishers")
+        for _ in range(5):
+            logger.discover()
+        assert tried == [2]
+        other.destroy_node()
+        graph.until(lambda: logger.discover() or logger.topics, "the topic, of one type now")
+    finally:
+        strangers.try_shutdown()
+    with pytest.raises(AbraceError, match=r"1 topics not recorded as asked: .*/odd"):
+        logger.close()
     assert tried == [2, 1]
-    (said,) = reported
-    assert "/odd: has the types std_msgs/msg/Bool, std_msgs/msg/String" in said
+    assert capfd.readouterr().err.count("/odd: has the types std_msgs/msg/Bool, std_msgs/msg/String") == 1
+
+
+def test_a_message_without_a_valid_time_is_recorded_and_reported_once(graph, own_logger, monkeypatch, capfd):
+    def without_times(*arguments):
+        # as Fast DDS gives times that are infinite or invalid
+        for payload, info in taken(*arguments):
+            yield payload, {**info, "received_timestamp": -1, "source_timestamp": -2}
+
+    taken = raw_subscription._taken
+    value = graph.node.create_publisher(Float64, "value", 100)
+    logger = own_logger(topics=["value"])
+    graph.until(lambda: logger.discover() or value.get_subscription_count(), "a match")
+    for first in (0, 5, 10):
+        monkeypatch.setattr(raw_subscription, "_taken", without_times if first == 5 else taken)
+        publish_numbers(value, range(first, first + 5))
+        graph.until(lambda: logger.tick() or logger.topics[f"{graph.namespace}/value"].count == first + 5, "five")  # noqa: B023
+    assert logger.exit_code is None
+    assert logger.diagnose()[2]["without a valid time of value"] == 5
+    logger.close()
+    assert capfd.readouterr().err.count("/value: messages without a valid time") == 1
+    recorded = read_topics(graph.folder / "bag")[f"{graph.namespace}/value"]
+    assert list(recorded.fields["data"]) == list(range(15))
+    assert recorded.log_time[-1] - recorded.log_time[0] < 60e9
 
 
 def test_a_full_disk_ends_the_logger_and_leaves_what_was_recorded(graph):
@@ -269,6 +312,7 @@ def test_a_full_disk_ends_the_logger_and_leaves_what_was_recorded(graph):
     assert "Traceback" not in "\n".join(said)
     recorded = read_topics(bag)[f"{graph.namespace}/note"]
     assert 100 < len(recorded.log_time) < sent
+    assert (bag / "metadata.yaml").is_file()
 
 
 def test_a_logger_that_is_stopped_while_it_starts_leaves_no_bag_behind(graph):
@@ -295,6 +339,13 @@ def test_a_killed_logger_leaves_all_but_its_last_moments_whenever_it_is_killed()
     assert found["opened"] == found["kills"] == 3
     assert found["missing"] == 0
     assert found["worst_gap_seconds"] < 0.2
+
+
+@pytest.mark.usefixtures("domain")
+def test_a_power_loss_takes_the_last_moments_whenever_it_comes():
+    found = logger_endurance.power_losses(10, loggers=1, duration=2.0)
+    assert found["opened"] == found["runs"] == 10
+    assert found["worst_missing_seconds"] < 1.5
 
 
 @pytest.mark.usefixtures("domain")

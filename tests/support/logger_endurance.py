@@ -1,4 +1,4 @@
-"""The logger under load: three topics on a machine with a loaded core, floods, and `kill -9` at random moments.
+"""The logger under load: three topics on a machine with a loaded core, floods, `kill -9` and power losses.
 
 For `make verify` and `make soak`, and in short for `make test`. Run as a program it is the bare subscription that
 floods are compared with: it writes nothing.
@@ -24,6 +24,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import AccelStamped
 from isolation import own_shared_memory
+from power_loss import Disk, Recorder
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
@@ -125,10 +126,14 @@ def publishers() -> Iterator[tuple[Publishers, Path]]:
 
 
 @contextlib.contextmanager
-def running(command: Sequence[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A process that is killed at the end where it still runs."""
+def running(
+    command: Sequence[str], log: Path, environment: dict[str, str] | None = None
+) -> Iterator[subprocess.Popen[bytes]]:
+    """A process, in our environment or another, that is killed at the end where it still runs."""
     with log.open("wb") as output:
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, env=environment
+        )
         try:
             yield process
         finally:
@@ -136,10 +141,10 @@ def running(command: Sequence[str], log: Path) -> Iterator[subprocess.Popen[byte
             process.wait()
 
 
-def logger_command(namespace: str, bag: Path, topics: Sequence[str]) -> list[str]:
-    """A logger of these topics."""
-    names = f"[{', '.join(topics)}]"
-    return [*LOGGER, "--ros-args", "-r", f"__ns:={namespace}", "-p", f"output:={bag}", "-p", f"topics:={names}"]
+def logger_command(namespace: str, bag: Path, topics: Sequence[str], *parameters: str) -> list[str]:
+    """A logger of these topics, with further `parameters`, each as name:=value."""
+    given = [f"output:={bag}", f"topics:=[{', '.join(topics)}]", *parameters]
+    return [*LOGGER, "--ros-args", "-r", f"__ns:={namespace}", *(word for one in given for word in ("-p", one))]
 
 
 def stop(process: subprocess.Popen[bytes], log: Path) -> str:
@@ -201,6 +206,59 @@ def kills(count: int, seed: int = 1, shown: Step | None = None) -> dict[str, Any
             missing += int(numbers[-1]) + 1 - numbers.size if numbers.size else 0
             worst = max(worst, (killed - int(times[-1])) * 1e-9 if numbers.size else float("inf"))
     return {"kills": count, "opened": opened, "missing": missing, "worst_gap_seconds": worst}
+
+
+def power_losses(
+    count: int, loggers: int = 5, duration: float = 6.0, seed: int = 1, shown: Step | None = None
+) -> dict[str, Any]:
+    """Lose the power at so many random moments: while a logger records, splits its bag and closes it, or just after.
+
+    Each moment is tried twice: everything that was not synced is gone, or each unsynced write by chance. `opened`:
+    moments after which both bags can be read. `worst_missing_seconds`: from the first message that a bag lacks to that
+    moment, or to the last message.
+    """
+    chance = random.Random(seed)
+    opened, worst = 0, 0.0
+    for k in range(loggers):
+        with publishers() as (rig, folder):
+            disk = folder.resolve() / "disk"
+            disk.mkdir()
+            recorder = Recorder(disk, folder)
+            command = logger_command(rig.namespace, disk / "bag", list(NUMBERED), f"split_duration:={duration / 3}")
+            with running(command, folder / "log", recorder.environment) as process:
+                rig.wait_for_match(list(NUMBERED))
+                begin = time.time_ns()
+                rig.publish(RATE, duration, list(NUMBERED))
+                published = time.time_ns()
+                stop(process, folder / "log")
+            events = recorder.events()
+            for number in range(k, count, loggers):
+                if shown is not None:
+                    shown.update((k + number / count) / loggers)
+                lost = chance.uniform(begin, time.time_ns() if number == k else published)
+                after = Disk(disk, [event for event in events if event.time <= lost])
+                try:
+                    for way in (None, chance):
+                        left = folder / f"left_{number}_{way is None}"
+                        after.write(left, way)
+                        first = first_missing(left / "bag", rig.namespace, begin)
+                        worst = max(worst, (min(lost, published) - first) * 1e-9)
+                except AbraceError as error:
+                    print(f"power loss {number}: {error}", file=sys.stderr)
+                    continue
+                opened += 1
+    return {"runs": count, "opened": opened, "worst_missing_seconds": worst}
+
+
+def first_missing(bag: Path, namespace: str, begin: int) -> int:
+    """When the last message [ns] came before the first one that is missing, of the topic of which that is earliest."""
+    found = recorded(bag, namespace)
+    last = []
+    for topic in NUMBERED:
+        numbers, times = found.get(topic, (np.zeros(0, int), np.zeros(0, int)))
+        whole = int(np.flatnonzero(np.append(numbers, -1) != np.arange(numbers.size + 1))[0])
+        last.append(int(times[whole - 1]) if whole else begin)
+    return min(last)
 
 
 def record_steadily(duration: float) -> dict[str, Any]:

@@ -36,6 +36,8 @@ _LINE = re.compile(
     r"\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)"
 )
 _TYPE_NAME = re.compile(r"([a-z]\w*)/msg/([A-Z]\w*)")
+_FEEDBACK = re.compile(r"([a-z]\w*)/action/([A-Z]\w*)_FeedbackMessage")
+_ACTION_PARTS = re.compile(r"^---\s*$", re.MULTILINE)
 _SEPARATOR = "=" * 80
 _NESTED = re.compile(rf"^{_SEPARATOR}\s*^MSG: *(\S+) *$", re.MULTILINE)
 
@@ -65,45 +67,52 @@ def message_definition(type_name: str) -> MessageDefinition:
     Parameters
     ----------
     type_name
-        As `abrace_interfaces/msg/Response`.
+        As `abrace_interfaces/msg/Response`, or that of an action's feedback:
+        `abrace_interfaces/action/PlayGroundMotion_FeedbackMessage`.
 
     Raises
     ------
     AbraceError
         If the name is not a message type's, or the type or one that it uses is not installed.
     """
-    match = _TYPE_NAME.fullmatch(type_name)
-    if match is None:
+    if match := _TYPE_NAME.fullmatch(type_name):
+        own_name = f"{match[1]}/{match[2]}"
+        own_file = _installed_file(match[1], f"msg/{match[2]}.msg")
+        texts = {own_name: _read(own_file)}
+    elif match := _FEEDBACK.fullmatch(type_name):
+        own_name, feedback = type_name, f"{match[1]}/action/{match[2]}_Feedback"
+        own_file = _installed_file(match[1], f"action/{match[2]}.action")
+        # goal, result, feedback; what a message of the feedback's topic has in addition is the same for all actions
+        texts = {feedback: _ACTION_PARTS.split(_read(own_file))[-1].lstrip("\n")}
+        texts = {own_name: f"unique_identifier_msgs/UUID goal_id\n{feedback} feedback\n", **texts}
+    else:
         raise AbraceError(f"message type {type_name!r}: expected package/msg/Type")
-    short_name = f"{match[1]}/{match[2]}"
-    own_file = _installed_file(short_name)
-    texts: dict[str, str] = {}
-    to_read = [short_name]
+    to_read = list(texts)
     while to_read:
-        name = to_read.pop(0)
-        if name in texts:
-            continue
-        path = _installed_file(name)
-        texts[name] = _read(path)
+        name, file = to_read.pop(0), own_file
+        if name not in texts:
+            package, _, short_name = name.partition("/")
+            file = _installed_file(package, f"msg/{short_name}.msg")
+            texts[name] = _read(file)
         try:
-            to_read += referred_types(name, parse_fields(texts[name]))
+            to_read += [other for other in referred_types(name, parse_fields(texts[name])) if other not in texts]
         except AbraceError as error:
-            raise AbraceError(f"{path}: {error}") from error
-    parts = [texts.pop(short_name)]
+            raise AbraceError(f"{file}: {error}") from error
+    parts = [texts.pop(own_name)]
     parts += [f"{_SEPARATOR}\nMSG: {name}\n{text}" for name, text in texts.items()]
     text = "\n".join(part if part.endswith("\n") else f"{part}\n" for part in parts)
     return MessageDefinition(type_name, text, _type_hash(type_name, own_file.with_suffix(".json")))
 
 
-def _installed_file(short_name: str) -> Path:
+def _installed_file(package: str, file: str) -> Path:
     prefixes = [prefix for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    file_name = f"share/{short_name.replace('/', '/msg/')}.msg"
     for prefix in prefixes:
-        path = Path(prefix) / file_name
+        path = Path(prefix) / "share" / package / file
         if path.is_file():
             return path
     where = f"the {len(prefixes)} folders of AMENT_PREFIX_PATH" if prefixes else "AMENT_PREFIX_PATH, which is empty"
-    raise AbraceError(f"message type {short_name} is not installed: no {file_name} in {where}")
+    name = f"{package}/{Path(file).stem}"
+    raise AbraceError(f"message type {name} is not installed: no share/{package}/{file} in {where}")
 
 
 def _read(path: Path) -> str:

@@ -15,6 +15,7 @@ from abrace_bags.qos import parse_qos
 from abrace_bags.survey import survey
 from abrace_bags.writer import WRITTEN_RECORDS, BagWriter
 from abrace_core.errors import AbraceError
+from abrace_core.files import make_folder, move
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -89,14 +90,14 @@ def _new_bag(output: Path) -> Iterator[Path]:
     if output.exists():
         raise AbraceError(f"bag {output} exists already, expected a new directory")
     try:
-        output.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(output.parent)
         with tempfile.TemporaryDirectory(prefix=f".{output.name}.", dir=output.parent) as folder:
             temporary = Path(folder) / output.name
             try:
                 yield temporary
             except AbraceError as error:
                 raise AbraceError(str(error).replace(str(temporary), str(output))) from error
-            temporary.rename(output)
+            move(temporary, output)
     except OSError as error:
         raise AbraceError(f"cannot write bag {output}: {error.strerror}") from error
 

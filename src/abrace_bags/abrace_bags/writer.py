@@ -16,7 +16,7 @@ from abrace_bags.mcap.records import CHECKSUM_KEY, FACTS_RECORD, facts_checksum
 from abrace_bags.metadata import METADATA_FILE, FileSpan, bag_information, yaml_text
 from abrace_bags.qos import DEFAULT_QOS, in_words
 from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
+from abrace_core.files import make_folder, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -35,9 +35,9 @@ WRITTEN_RECORDS = (FACTS_RECORD, ROSBAG2_RECORD, COUNTS_RECORD)
 class BagWriter:
     """A bag that is being written.
 
-    Everything up to the last `flush` is readable after the process was killed, without `metadata.yaml`, which `close`
-    writes. Leaving a `with` block closes the bag. MCAP's sequence number of a message counts those of its topic from 1,
-    over all files.
+    Everything up to the last `flush` is readable after the process was killed, everything up to the last `sync` after a
+    power loss, without `metadata.yaml`: that is written by `close`, and when a file can't be written. Leaving a `with`
+    block closes the bag. MCAP's sequence number of a message counts those of its topic from 1, over all files.
 
     Parameters
     ----------
@@ -86,8 +86,9 @@ class BagWriter:
         self._topics: dict[int, dict[str, Any]] = {}
         self._counts: dict[int, TopicCounts] = {}
         self._files: list[FileSpan] = []
+        self._closed = False
         try:
-            self.directory.mkdir(parents=True)
+            make_folder(self.directory, new=True)
         except FileExistsError as error:
             raise AbraceError(f"bag {self.directory} exists already, expected a new directory") from error
         except OSError as error:
@@ -128,8 +129,9 @@ class BagWriter:
         Raises
         ------
         AbraceError
-            If the topic is in the bag already.
+            If the topic is in the bag already, or the bag is closed.
         """
+        self._check_open()
         if any(topic["name"] == name for topic in self._topics.values()):
             raise AbraceError(f"bag {self.directory}: topic {name} is in it already")
         profiles = [in_words(profile) for profile in qos or (DEFAULT_QOS,)]
@@ -175,18 +177,16 @@ class BagWriter:
         Raises
         ------
         AbraceError
-            If a time is negative, or the file can't be written: the bag is then closed as it is.
+            If a time is negative, the bag is closed, or the file can't be written: the bag is then closed as it is.
         """
+        if self._closed:
+            self._check_open()
         if log_time_ns < 0 or publish_time_ns < 0:
             raise AbraceError(f"bag {self.directory}: message at {log_time_ns} ns, published at {publish_time_ns} ns")
         if self._full(log_time_ns):
             self.split()
         counts, span = self._counts[topic_id], self._span
-        try:
-            self._file.add_message(topic_id, counts.messages + 1, payload, log_time_ns, publish_time_ns)
-        except OSError as error:
-            self._file.abandon()
-            raise self._failure(error) from error
+        full = self._file.add_message(topic_id, counts.messages + 1, payload, log_time_ns, publish_time_ns)
         counts.messages += 1
         if counts.numbered:
             counts.add(sequence_number(payload))
@@ -195,6 +195,8 @@ class BagWriter:
             span.last_time = log_time_ns
         if log_time_ns < span.first_time:
             span.first_time = log_time_ns
+        if full:
+            self.flush()
 
     def interrupt(self) -> None:
         """Count no gap of `sequence` before the next message of each topic: those before it are not to be recorded."""
@@ -225,10 +227,23 @@ class BagWriter:
         Raises
         ------
         AbraceError
-            If the file can't be written: the bag is then closed as it is.
+            If the bag is closed, or the file can't be written: the bag is then closed as it is.
         """
+        self._check_open()
         with self._closed_on_failure():
             self._file.flush()
+
+    def sync(self) -> None:
+        """As `flush`, and wait until it is on the disk: it is readable even after a power loss.
+
+        Raises
+        ------
+        AbraceError
+            As `flush`.
+        """
+        self._check_open()
+        with self._closed_on_failure():
+            self._file.sync()
 
     def split(self) -> None:
         """Finish the file and go on in the next one.
@@ -236,8 +251,9 @@ class BagWriter:
         Raises
         ------
         AbraceError
-            If a file can't be written: the bag is then closed as it is.
+            If the bag is closed, or a file can't be written: the bag is then closed as it is.
         """
+        self._check_open()
         self._finish_file()
         self._open_file()
 
@@ -249,24 +265,28 @@ class BagWriter:
         AbraceError
             If a file can't be written.
         """
-        if self._file.closed:
+        if self._closed:
             return
         with self._closed_on_failure():
             self._file.flush()
             self._file.add_metadata(COUNTS_RECORD, counts_record(self.counts()))
         self._finish_file()
-        information = bag_information(self._topics, self._files, self._facts)
-        write_text(self.directory / METADATA_FILE, yaml_text({"rosbag2_bagfile_information": information}))
+        self._closed = True
+        self._write_metadata()
 
     @property
     def file(self) -> Path:
         """The file that is being written."""
-        return self.directory / self._span.name
+        return self._file.path
 
     @property
     def closed(self) -> bool:
         """Whether nothing more can be written, after `close` or a failure."""
-        return self._file.closed
+        return self._closed
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise AbraceError(f"bag {self.directory} is closed")
 
     def _full(self, time: int) -> bool:
         """Whether a message received at this time [ns] belongs in the next file."""
@@ -277,52 +297,50 @@ class BagWriter:
     def _open_file(self, attachments: Sequence[Attachment] = ()) -> None:
         """Begin the next file: facts, records, types and topics, in the first one the attachments."""
         span = FileSpan(f"{self.directory.name}_{len(self._files)}.mcap", counts=dict.fromkeys(self._topics, 0))
-        # readers can't open a file without these: it gets its name when they are in it
-        part = self.directory / f"{span.name}.part"
-        try:
-            self._file = McapWriter(part, *self._compressor)
-        except OSError as error:
-            raise self._failure(error) from error
+        with self._closed_on_failure():
+            self._file = McapWriter(self.directory / span.name, *self._compressor)
+            self._file.add_metadata(FACTS_RECORD, {**self._facts, CHECKSUM_KEY: facts_checksum(self._facts)})
+            for name, texts in self._records.items():
+                self._file.add_metadata(name, texts)
+            self._write_information(span)
+            for schema in self._schemas.values():
+                self._file.add_schema(schema)
+            for channel in self._channels:
+                self._file.add_channel(channel)
+            for attachment in attachments:
+                self._file.add_attachment(attachment)
+            self._file.publish()
         self._span = span
         self._files.append(span)
-        try:
-            with self._closed_on_failure():
-                self._file.add_metadata(FACTS_RECORD, {**self._facts, CHECKSUM_KEY: facts_checksum(self._facts)})
-                for name, texts in self._records.items():
-                    self._file.add_metadata(name, texts)
-                self._write_information()
-                for schema in self._schemas.values():
-                    self._file.add_schema(schema)
-                for channel in self._channels:
-                    self._file.add_channel(channel)
-                for attachment in attachments:
-                    self._file.add_attachment(attachment)
-                self._file.flush()
-                part.rename(self.file)
-        except AbraceError:
-            with contextlib.suppress(OSError):
-                part.unlink()
-            raise
         self._head_size = self._file.size
 
     def _finish_file(self) -> None:
         with self._closed_on_failure():
             self._file.flush()
-            self._write_information()
+            self._write_information(self._span)
             self._file.finish(self._span)
 
-    def _write_information(self) -> None:
+    def _write_information(self, span: FileSpan) -> None:
         """Write into the file the metadata.yaml of this file alone: rosbag2 reads a single file by it."""
-        information = bag_information(self._topics, [self._span], self._facts)
+        information = bag_information(self._topics, [span], self._facts)
         self._file.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": yaml_text(information).rstrip()})
+
+    def _write_metadata(self) -> None:
+        information = bag_information(self._topics, self._files, self._facts)
+        write_text(self.directory / METADATA_FILE, yaml_text({"rosbag2_bagfile_information": information}))
 
     @contextlib.contextmanager
     def _closed_on_failure(self) -> Iterator[None]:
-        """Close the file as it is when it can't be written."""
+        """When a file can't be written, close the bag as it is, with metadata.yaml if that can be written."""
         try:
             yield
         except OSError as error:
-            self._file.abandon()
+            self._closed = True
+            if self._files:
+                for topic_id, count in self._file.abandon().items():
+                    self._span.counts[topic_id] -= count
+                with contextlib.suppress(AbraceError):
+                    self._write_metadata()
             raise self._failure(error) from error
 
     def _failure(self, error: OSError) -> AbraceError:

@@ -126,6 +126,7 @@ class _Runner:
         logger = {
             "output": str(bag),
             "topics": topics,
+            "lockstep": lockstep,
             "facts": [f"{key}={value}" for key, value in facts.items()],
             "attachments": [str(path) for path in self.attachments(test)],
         }

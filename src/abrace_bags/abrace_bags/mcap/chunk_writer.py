@@ -72,6 +72,10 @@ class ChunkWriter:
         """Whether it holds more than schemas and channels."""
         return bool(self._index)
 
+    def counts(self) -> dict[int, int]:
+        """Messages in it, by channel."""
+        return {channel: len(index) // 2 for channel, index in self._index.items()}
+
     def describe(self, record: McapRecord) -> None:
         """Add the `record` of a schema or a channel, before the messages that refer to it."""
         part = record_bytes(record)

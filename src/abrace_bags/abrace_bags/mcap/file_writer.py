@@ -1,5 +1,8 @@
 """One MCAP file, written record by record, with checksums and a summary section.
 
+Everything that is written goes to the operating system at once, so that it outlives the process; after `sync` it is on
+the disk. The file has its name, and not one that ends in `.part`, from when readers can open it.
+
 `mcap`'s own writer makes Python objects of every message: 2.5 microseconds each, too slow for a flood of messages. Here
 a message is two byte strings in the chunk that is being filled; all other records are `mcap`'s.
 """
@@ -7,6 +10,7 @@ a message is two byte strings in the chunk that is being filled; all other recor
 from __future__ import annotations
 
 import contextlib
+import os
 import zlib
 from typing import TYPE_CHECKING
 
@@ -15,7 +19,6 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
@@ -30,9 +33,10 @@ from mcap.writer import MCAP0_MAGIC
 
 from abrace_bags.mcap.chunk_writer import CHUNK_SIZE, ChunkWriter
 from abrace_bags.mcap.records import record_bytes
+from abrace_core.files import move
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
     from abrace_bags.metadata import FileSpan
@@ -48,34 +52,45 @@ class McapWriter:
     Parameters
     ----------
     path
-        The file, which must not exist.
+        The file, which must not exist; `path` and `.part` until `publish`.
     compression, compress
         From `compressor`.
 
     Attributes
     ----------
+    path
+        The file.
     size
         Bytes of the file so far, without the chunk that is being filled.
     """
 
     def __init__(self, path: Path, compression: str, compress: Callable[[bytes], bytes]) -> None:
+        self.path = path
+        self._part = path.with_name(f"{path.name}.part")
         self._compression, self._compress = compression, compress
         self._chunk = ChunkWriter()
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
+        # as bytes, a chunk takes some 100 of them; as records it took 600, half a gigabyte a day
+        self._chunk_index = bytearray()
+        self._chunk_count = 0
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self.size = 0
+        self._synced = 0
         self._checksum = 0
-        self._file = path.open("xb")
-        self._append(MCAP0_MAGIC)
-        self._append_record(Header("ros2", "abrace"))
+        self._file = self._part.open("xb", buffering=0)
+        try:
+            self._append(MCAP0_MAGIC)
+            self._append_record(Header("ros2", "abrace"))
+        except OSError:
+            self.abandon()
+            raise
 
-    @property
-    def closed(self) -> bool:
-        """Whether nothing more can be written."""
-        return self._file.closed
+    def publish(self) -> None:
+        """Give the file its name: what readers need to open it has been added."""
+        self.sync()
+        move(self._part, self.path)
 
     def add_schema(self, schema: Schema) -> None:
         """Add a `schema`, the description of a message type, before its channels."""
@@ -87,11 +102,10 @@ class McapWriter:
         self._channels.append(channel)
         self._chunk.describe(channel)
 
-    def add_message(self, channel: int, sequence: int, payload: bytes, log_time: int, publish_time: int) -> None:
-        """Add a message, as in `ChunkWriter.add`; a full chunk goes to the file."""
+    def add_message(self, channel: int, sequence: int, payload: bytes, log_time: int, publish_time: int) -> bool:
+        """Add a message to the chunk, as in `ChunkWriter.add`; returns whether it is time to `flush` that."""
         self._chunk.add(channel, sequence, payload, log_time, publish_time)
-        if self._chunk.size > CHUNK_SIZE:
-            self._end_chunk()
+        return self._chunk.size > CHUNK_SIZE
 
     def add_metadata(self, name: str, texts: Mapping[str, str]) -> None:
         """Add a metadata record of this `name` with `texts` by key."""
@@ -117,10 +131,16 @@ class McapWriter:
     def flush(self) -> None:
         """End the chunk and hand everything to the operating system."""
         self._end_chunk()
-        self._file.flush()
+
+    def sync(self) -> None:
+        """As `flush`, and wait until the file is on the disk."""
+        self._end_chunk()
+        if self._synced < self.size:
+            os.fdatasync(self._file.fileno())
+            self._synced = self.size
 
     def finish(self, span: FileSpan) -> None:
-        """Write the summary section and close the file; `span` is what the file holds."""
+        """Write the summary section, sync and close the file; `span` is what the file holds."""
         self._end_chunk()
         self._append_record(DataEnd(self._checksum))
         start = self.size
@@ -128,46 +148,50 @@ class McapWriter:
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=span.counts,
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunk_count,
             message_count=span.count,
             message_end_time=span.last_time,
             message_start_time=span.first_time if span.count else 0,
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
-        groups: list[tuple[int, list[McapRecord]]] = [
-            (Opcode.SCHEMA, [*self._schemas]),
-            (Opcode.CHANNEL, [*self._channels]),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, [*self._chunks]),
-            (Opcode.ATTACHMENT_INDEX, [*self._attachments]),
-            (Opcode.METADATA_INDEX, [*self._metadata]),
+        groups: list[tuple[int, bytes | bytearray]] = [
+            (Opcode.SCHEMA, _joined(self._schemas)),
+            (Opcode.CHANNEL, _joined(self._channels)),
+            (Opcode.STATISTICS, record_bytes(statistics)),
+            (Opcode.CHUNK_INDEX, self._chunk_index),
+            (Opcode.ATTACHMENT_INDEX, _joined(self._attachments)),
+            (Opcode.METADATA_INDEX, _joined(self._metadata)),
         ]
         summary = b""
         offsets = []
-        for opcode, records in groups:
-            group = b"".join(map(record_bytes, records))
-            if records:
+        for opcode, group in groups:
+            if group:
                 offsets.append(SummaryOffset(opcode, start + len(summary), len(group)))
             summary += group
         footer = Footer(summary_start=start, summary_offset_start=start + len(summary), summary_crc=0)
         summary += b"".join(map(record_bytes, (*offsets, footer)))[:-4]
-        self._file.write(summary + zlib.crc32(summary).to_bytes(4, "little") + MCAP0_MAGIC)
+        self._append(summary + zlib.crc32(summary).to_bytes(4, "little") + MCAP0_MAGIC)
+        self.sync()
         self._file.close()
 
-    def abandon(self) -> None:
-        """Close the file as it is."""
+    def abandon(self) -> dict[int, int]:
+        """Close the file as it is; returns how many messages of each channel are not in it."""
         with contextlib.suppress(OSError):
             self._file.close()
+        with contextlib.suppress(OSError):
+            self._part.unlink()
+        return self._chunk.counts()
 
     def _end_chunk(self) -> None:
         if not self._chunk.has_messages:
             return
         records, index = self._chunk.packed(self._compression, self._compress, self.size)
-        self._chunk = ChunkWriter()
         self._append(records)
-        self._chunks.append(index)
-        if len(self._chunks) % CHUNKS_DESCRIBED == 1:
+        self._chunk = ChunkWriter()
+        self._chunk_index += record_bytes(index)
+        self._chunk_count += 1
+        if self._chunk_count % CHUNKS_DESCRIBED == 1:
             for record in (*self._schemas, *self._channels):
                 self._chunk.describe(record)
 
@@ -175,6 +199,12 @@ class McapWriter:
         self._append(record_bytes(record))
 
     def _append(self, content: bytes) -> None:
+        rest = memoryview(content)
+        while rest:
+            rest = rest[self._file.write(rest) :]
         self._checksum = zlib.crc32(content, self._checksum)
-        self._file.write(content)
         self.size += len(content)
+
+
+def _joined(records: Iterable[McapRecord]) -> bytes:
+    return b"".join(map(record_bytes, records))

@@ -16,9 +16,14 @@ if TYPE_CHECKING:
 
 def message_class(topic: str, type_name: str) -> type:
     """The class of a topic's message type, as `std_msgs/msg/String`; an AbraceError if it is not installed."""
-    package, _, name = type_name.split("/")
+    package, kind, name = type_name.split("/")
     try:
-        found: type = getattr(importlib.import_module(f"{package}.msg"), name)
+        module = importlib.import_module(f"{package}.{kind}")
+        found: type = (
+            getattr(module, name.removesuffix("_FeedbackMessage")).Impl.FeedbackMessage
+            if kind == "action"
+            else getattr(module, name)
+        )
     except (ImportError, AttributeError) as error:
         raise AbraceError(f"topic {topic}: message type {type_name} is not installed for Python ({error})") from error
     return found

@@ -31,11 +31,13 @@ PARAMETERS = [
     Parameter("facts", [], "facts of the run, each as key=value, written into the bag", element=str),
     Parameter("attachments", [], "files of the run that go into the bag: rig, model, controller, record", element=str),
     Parameter("compression", "zstd", "of each chunk", choices=("zstd", "lz4", "none")),
-    Parameter("split_size", 0, "bytes after which the next file begins; 0: one file", minimum=0),
-    Parameter("split_duration", 0.0, "s after which the next file begins; 0: one file", minimum=0.0, maximum=1e9),
+    Parameter("split_size", 2**30, "bytes after which the next file begins; 0: however many", minimum=0),
+    Parameter("split_duration", 3600.0, "s after which the next file begins; 0.0: never", minimum=0.0, maximum=1e9),
     Parameter("snapshot", 0.0, "s to keep in memory, written on `~/snapshot` alone; 0: all", minimum=0.0, maximum=1e6),
     Parameter("autostart", True, "record at once; false: wait for `~/start`"),
     Parameter("flush_interval", 0.1, "s between flushes: what a killed logger may lose", minimum=0.01, maximum=10.0),
+    Parameter("sync_interval", 0.5, "s between syncs: what a power loss may take besides", minimum=0.1, maximum=600.0),
+    Parameter("lockstep", False, "log time is that of the rig's samples (their stamps), not the clock's"),
 ]
 
 SERVICES = ("start", "stop", "pause", "resume", "split", "snapshot")
@@ -55,6 +57,8 @@ class Topic:
     subscription: RawSubscription
     topic_id: int
     count: int = 0
+    untimed: bool = False
+    """Whether messages without a valid time have been reported."""
 
 
 class Logger(AbraceNode):
@@ -113,8 +117,7 @@ class Logger(AbraceNode):
                 if topic is None:
                     self.record(name, publishers)
                 else:
-                    received = topic.subscription.follow(publishers, self.writer(topic))
-                    topic.count += received if self.records(topic) else 0
+                    topic.subscription.follow(publishers)
             except AbraceError as error:
                 self.refused[name] = state
                 self.report(name, error)
@@ -128,8 +131,9 @@ class Logger(AbraceNode):
         subscription = RawSubscription(self.input, name, publishers)
         definition = subscription.definition
         offers = [publisher.qos for publisher in publishers]
-        with self.open_recording().bag() as bag:
-            topic_id = bag.add_topic(name, definition.type_name, definition.text, definition.type_hash, *offers)
+        topic_id = self.open_recording().add_topic(
+            name, definition.type_name, definition.text, definition.type_hash, *offers
+        )
         self.topics[name] = Topic(subscription, topic_id)
 
     def report(self, name: str, error: AbraceError) -> None:
@@ -157,6 +161,10 @@ class Logger(AbraceNode):
         received = topic.subscription.receive(most, self.writer(topic))
         if self.records(topic):
             topic.count += received
+        if not topic.untimed and topic.topic_id in self.open_recording().untimed:
+            topic.untimed = True
+            found = f"{topic.subscription.topic}: messages without a valid time, the logger gives them its own"
+            print(f"logger: WARNING {found}", file=sys.stderr, flush=True)
         return received
 
     def receive_all(self) -> Recording:
@@ -210,21 +218,27 @@ class Logger(AbraceNode):
             split_size=given.split_size,
             split_duration=given.split_duration,
         )
-        self.recording = Recording(bag, given.flush_interval, given.snapshot)
+        self.recording = Recording(
+            bag,
+            given.flush_interval,
+            sync_interval=given.sync_interval,
+            snapshot=given.snapshot,
+            lockstep=given.lockstep,
+        )
         self.bags += 1
         self.paused = False
         return f"recording {directory}"
 
     def stop(self) -> str:
         """Receive the last messages and close the bag; the node stays, for another start."""
-        try:
-            recording = self.receive_all()
-            bag = recording.close({topic.topic_id: topic.subscription.lost for topic in self.topics.values()})
-        finally:
-            self.recording = None
-            for topic in self.topics.values():
-                topic.subscription.close()
-            self.topics = {}
+        recording = self.receive_all()
+        not_received = {topic.topic_id: topic.subscription.lost for topic in self.topics.values()}
+        self.recording = None
+        # before the bag is closed, which may take a while: what comes meanwhile would be kept in memory
+        for topic in self.topics.values():
+            topic.subscription.close()
+        self.topics = {}
+        bag = recording.close(not_received)
         counts = {self.given_names.get(name, name): one for name, one in bag.counts().items()}
         lost = ", ".join(f"{one.lost} of {name}" for name, one in counts.items() if one.lost)
         if lost:
@@ -249,35 +263,37 @@ class Logger(AbraceNode):
 
     def split(self) -> str:
         """Go on in the next file."""
-        with self.receive_all().bag() as bag:
-            bag.split()
-            return f"recording {bag.file}"
+        self.receive_all().split()
+        return "the next messages go to the next file"
 
     def snapshot(self) -> str:
         """Write what is in memory."""
         if not self.parameters.snapshot:
             raise AbraceError("parameter snapshot is 0: everything is written at once")
-        recording = self.receive_all()
-        count = recording.write_snapshot()
-        with recording.bag() as bag:
-            return f"wrote {count} messages to {bag.file}"
+        count = self.receive_all().write_snapshot()
+        return f"writing {count} messages"
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """State for `/diagnostics`."""
         values: dict[str, object] = {}
-        overflowed = self.recording.overflowed if self.recording else {}
+        recording = self.recording
+        overflowed, untimed = (recording.overflowed, recording.untimed) if recording else ({}, {})
+        if recording:
+            values["file"] = recording.file
         for name, topic in self.topics.items():
             shown = self.given_names.get(name, name)
             values[f"publishers of {shown}"] = topic.subscription.count_publishers()
             values[f"messages of {shown}"] = topic.count
             values[f"lost of {shown}"] = topic.subscription.lost + overflowed.get(topic.topic_id, 0)
+            if topic.topic_id in untimed:
+                values[f"without a valid time of {shown}"] = untimed[topic.topic_id]
         missing = sorted(given for name, given in self.given_names.items() if name not in self.topics)
         if missing:
             values["not seen yet"] = ", ".join(missing)
         fault = "the disk is too slow, messages are left out" if overflowed else None
         if self.errors:
             fault = "; ".join([*self.errors.values(), *([fault] if fault else [])])
-        return fault, "stopped" if self.recording is None else "paused" if self.paused else "recording", values
+        return fault, "stopped" if recording is None else "paused" if self.paused else "recording", values
 
     def close(self) -> None:
         """Receive the last messages and close the bag."""

@@ -5,6 +5,7 @@ No executor spins the subscription: a callback for each message would cost more 
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING
 
 from rclpy.type_hash import TypeHash
@@ -17,14 +18,20 @@ from abrace_core.errors import AbraceError
 from abrace_core.sequence import SequenceCounter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from rclpy.node import Node
     from rclpy.subscription import Subscription
     from rosbags.interfaces import Qos
 
+    Received = tuple[bytes, dict[str, int]]
+    """The bytes of a message, and what the middleware says of it."""
+
 DEPTH = 5000
-"""Depth of the subscriptions: ten seconds of samples."""
+"""Messages that may wait in the middleware: ten seconds of samples."""
+MEMORY = 64 * 1024 * 1024
+"""Bytes of a topic's messages that may wait there, and `LEAST_DEPTH` messages however large they are."""
+LEAST_DEPTH = 10
 
 
 class RawSubscription:
@@ -41,6 +48,8 @@ class RawSubscription:
 
     Attributes
     ----------
+    topic
+        Full name.
     definition
         Of its messages.
     lost
@@ -50,15 +59,23 @@ class RawSubscription:
     ------
     AbraceError
         If the publishers are of different types, or theirs is not the installed one.
+
+    Notes
+    -----
+    Its QoS changes when a publisher comes that offers less, and its depth when messages are large. A new subscription
+    then takes the place of the old one as soon as it has received a message, and each message is received once.
     """
 
     def __init__(self, node: Node, topic: str, publishers: Sequence[Publisher]) -> None:
         self._node = node
-        self._topic = topic
+        self.topic = topic
         self.definition = common_definition(topic, publishers)
         self.lost = 0
         self._qos = common_qos([publisher.qos for publisher in publishers], DEPTH)
-        self._subscription = self._subscribe(self._qos)
+        self._subscription = self._subscribe()
+        self._successor: Subscription | None = None
+        self._received: deque[tuple[int, int]] = deque(maxlen=DEPTH)
+        self._largest = 0
         self._numbers = SequenceCounter()
 
     @property
@@ -68,47 +85,28 @@ class RawSubscription:
 
     def count_publishers(self) -> int:
         """Publishers that it is matched with now."""
-        count: int = self._subscription.get_publisher_count()
+        count: int = (self._successor or self._subscription).get_publisher_count()
         if count != 1:
             # each publisher has numbers of its own, and a message does not tell its publisher
             self._numbers.restart()
         return count
 
-    def follow(self, publishers: Sequence[Publisher], write: Callable[[bytes, int, int], None]) -> int:
-        """Subscribe anew if one of the publishers offers less than the subscription asks for.
-
-        What is published until the new subscription is matched is not received.
-
-        Parameters
-        ----------
-        publishers
-            Of the topic now.
-        write
-            For the messages received by the old subscription, as in `receive`.
-
-        Returns
-        -------
-        int
-            How many those were.
+    def follow(self, publishers: Sequence[Publisher]) -> None:
+        """Subscribe anew if one of the `publishers` of the topic now offers less than the subscription asks for.
 
         Raises
         ------
         AbraceError
             If their type is not the one that is subscribed to.
         """
-        now = common_definition(self._topic, publishers).type_name
+        now = common_definition(self.topic, publishers).type_name
         if now != self.definition.type_name:
             raise AbraceError(
-                f"topic {self._topic}: is of type {now} now, expected {self.definition.type_name} as before"
+                f"topic {self.topic}: is of type {now} now, expected {self.definition.type_name} as before"
             )
-        qos = common_qos([publisher.qos for publisher in publishers], DEPTH)
-        if common_qos([self._qos, qos], DEPTH) == self._qos:
-            return 0
-        new = self._subscribe(qos)
-        received = self.receive(DEPTH, write)
-        self._node.destroy_subscription(self._subscription)
-        self._subscription, self._qos = new, qos
-        return received
+        least = common_qos([self._qos, *(publisher.qos for publisher in publishers)], self._qos.depth)
+        if least != self._qos:
+            self._subscribe_anew(least)
 
     def receive(self, most: int, write: Callable[[bytes, int, int], None]) -> int:
         """Receive the messages that have come.
@@ -116,7 +114,7 @@ class RawSubscription:
         Parameters
         ----------
         most
-            How many at most.
+            How many at most, but while a new subscription takes the place of the old one.
         write
             Called with the bytes of each, when it was received and when it was published [ns].
 
@@ -125,26 +123,71 @@ class RawSubscription:
         int
             How many those were.
         """
-        message_type, handle = self._subscription.msg_type, self._subscription.handle
-        numbers, count = self._numbers, 0
-        missing = numbers.missing
-        with handle:
-            while count < most and (received := handle.take_message(message_type, True)) is not None:
-                payload, info = received
-                write(payload, info["received_timestamp"], info["source_timestamp"])
-                numbers.add(info["publication_sequence_number"])
-                count += 1
+        numbers, missing, largest = self._numbers, self._numbers.missing, self._largest
+        # of transient local topics a new subscription receives the last messages once more
+        remembered = self._received if self._successor or self.transient_local else None
+        messages = self._of_both(self._successor) if self._successor else _taken(self._subscription, most)
+        count = 0
+        for payload, info in messages:
+            write(payload, info["received_timestamp"], info["source_timestamp"])
+            numbers.add(info["publication_sequence_number"])
+            count += 1
+            if len(payload) > largest:
+                largest = len(payload)
+            if remembered is not None:
+                remembered.append(_key(payload, info))
         if count and self.count_publishers() <= 1:
             self.lost += numbers.missing - missing
+        if largest > self._largest:
+            self._largest = largest
+            if largest * self._qos.depth > MEMORY and self._qos.depth > LEAST_DEPTH:
+                # half as many as fit: the next message is often a little larger
+                self._subscribe_anew(self._qos._replace(depth=max(LEAST_DEPTH, MEMORY // (2 * largest))))
         return count
 
     def close(self) -> None:
         """Unsubscribe."""
         self._node.destroy_subscription(self._subscription)
+        if self._successor is not None:
+            self._node.destroy_subscription(self._successor)
 
-    def _subscribe(self, qos: Qos) -> Subscription:
-        message_type = message_class(self._topic, self.definition.type_name)
-        return self._node.create_subscription(message_type, self._topic, _never_called, qos_profile(qos), raw=True)
+    def _subscribe(self) -> Subscription:
+        message_type = message_class(self.topic, self.definition.type_name)
+        return self._node.create_subscription(message_type, self.topic, _never_called, qos_profile(self._qos), raw=True)
+
+    def _subscribe_anew(self, qos: Qos) -> None:
+        if self._successor is not None:
+            self._node.destroy_subscription(self._successor)
+        self._qos = qos
+        self._successor = self._subscribe()
+
+    def _of_both(self, successor: Subscription) -> list[Received]:
+        """Messages of the old subscription and, once it has received one, of its successor; each once."""
+        # in this order: what was published before a message of the successor has come to the old one
+        later = list(_taken(successor, DEPTH))
+        messages = list(_taken(self._subscription, DEPTH))
+        if later:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription, self._successor = successor, None
+            known = {*self._received, *(_key(*message) for message in messages)}
+            messages += [message for message in later if _key(*message) not in known]
+        return messages
+
+
+def _taken(subscription: Subscription, most: int) -> Iterator[Received]:
+    """The messages that have come, `most` of them."""
+    message_type, handle = subscription.msg_type, subscription.handle
+    with handle:
+        for _ in range(most):
+            received = handle.take_message(message_type, True)
+            if received is None:
+                return
+            yield received
+
+
+def _key(payload: bytes, info: dict[str, int]) -> tuple[int, int]:
+    """What a message is known by that comes to two subscriptions."""
+    return info["source_timestamp"], hash(payload)
 
 
 def publishers_of(node: Node, topic: str) -> list[Publisher]:
