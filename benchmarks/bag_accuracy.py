@@ -30,7 +30,7 @@ DAMAGED_BAG = 4.0
 
 def verify_bags() -> tuple[dict[str, Any], list[Claim]]:
     """Values for verify.json, and claims."""
-    progress = Progress(3)
+    progress = Progress(4)
     with isolated():
         with progress.step("loggers killed") as shown:
             values = kills(KILLS, shown=shown)

@@ -29,10 +29,9 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from mcap.writer import MCAP0_MAGIC
 
 from abrace_bags.mcap.chunk_writer import CHUNK_SIZE, ChunkWriter
-from abrace_bags.mcap.records import record_bytes
+from abrace_bags.mcap.records import MCAP0_MAGIC, record_bytes
 from abrace_core.files import move
 
 if TYPE_CHECKING:
