@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from rclpy.client import Client
     from rclpy.node import Node
     from rclpy.publisher import Publisher
+    from rclpy.task import Future
 
 PATIENCE = 30.0
 PACKAGES = {
@@ -209,13 +210,17 @@ class Graph:
         status = self.statuses[name]
         assert status.level == DiagnosticStatus.OK, status.message
 
-    def call(self, service_type: type, service: str, request: Any) -> Any:
-        """Call a service and wait for its response."""
+    def ask(self, service_type: type, service: str, request: Any) -> Future:
+        """Call a service once it is there; its response is the future's result."""
         client = self._client(service_type, service)
         self.until(client.service_is_ready, f"service {service}")
-        future = client.call_async(request)
-        self.until(future.done, f"an answer of {service}")
-        return future.result()
+        return client.call_async(request)
+
+    def call(self, service_type: type, service: str, request: Any) -> Any:
+        """Call a service and wait for its response."""
+        answer = self.ask(service_type, service, request)
+        self.until(answer.done, f"an answer of {service}")
+        return answer.result()
 
     def change_state(self, name: str, transition: str) -> bool:
         """Take a life cycle node through a transition; whether it went."""

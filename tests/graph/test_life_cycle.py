@@ -11,7 +11,7 @@ from rclpy.parameter import get_parameter_value
 
 from abrace_core.controller_file import Controller, save_controller
 from abrace_core.linear_model import LinearModel
-from abrace_interfaces.msg import Response
+from abrace_interfaces.msg import BraceCommand, Response
 
 
 def until_samples(graph, responses: list[Response], count: int) -> None:
@@ -41,6 +41,19 @@ def test_the_plant_does_nothing_until_it_is_configured_and_activated(graph):
     seen = len(responses)
     graph.until_well("plant")
     assert len(responses) == seen, "no sample after deactivation"
+
+
+def test_a_rig_is_cleaned_up_while_commanders_come_and_go(graph):
+    graph.start("plant", autostart=False)
+    for _ in range(20):
+        assert graph.change_state("plant", "configure")
+        request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CLEANUP))
+        answer = graph.ask(ChangeState, "plant/change_state", request)
+        publishers = [graph.node.create_publisher(BraceCommand, "brace_command", 10) for _ in range(2)]
+        graph.until(answer.done, "the rig to be cleaned up")
+        for publisher in publishers:
+            graph.node.destroy_publisher(publisher)
+    assert graph.state("plant") == "unconfigured"
 
 
 STATES = {

@@ -72,6 +72,7 @@ def own_logger(graph, domain):
         arguments = ["--ros-args", "-r", f"__ns:={graph.namespace}", "--params-file", str(file)]
         rclpy.init(args=arguments, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
         made.append(Logger())
+        made[0].autostart()
         return made[0]
 
     yield make

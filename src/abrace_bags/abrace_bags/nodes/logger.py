@@ -96,7 +96,10 @@ class Logger(AbraceNode):
             self.create_service(Trigger, f"~/{name}", partial(self.answer, getattr(self, name)))
         self.create_timer(DISCOVERY_PERIOD, self.discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.due = time.monotonic()
-        if given.autostart:
+
+    def autostart(self) -> None:
+        """Record at once, if the parameter `autostart` is true."""
+        if self.parameters.autostart:
             self.start()
 
     def discover(self) -> None:

@@ -13,7 +13,6 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
@@ -32,6 +31,10 @@ ACKNOWLEDGEMENT_TIMEOUT = Duration(seconds=0.5)
 
 DIAGNOSTICS = "/diagnostics"
 """Where monitors look for every node's state; absolute, so that they find it whatever the rig's namespace is."""
+
+MATCH_PERIOD = 0.05
+"""Seconds between looks for partners that came or went: rclpy's own event of a match crashes a node that destroys its
+endpoints while one comes, as clean-up does."""
 
 DISPLAY_PERIOD = 0.02
 """Seconds of wall time between messages for viewers."""
@@ -93,9 +96,12 @@ class AbraceNode(Node):
         self.add_post_set_parameters_callback(self._on_parameters_set)
         self.ended = Future()
         self._endpoint_counts: list[tuple[str, Callable[[], int]]] = []
+        self._partners: list[int] = []
         self._publishers_of_streams: list[Publisher] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
-        self.create_timer(1.0, self.publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self.publish_diagnostics, clock=steady)
+        self.create_timer(MATCH_PERIOD, self._look_for_partners, clock=steady)
         # rclpy looks up the caller of each log message; the first look goes through all modules for 20 to 50 ms, which
         # a fault must not cost in the loop
         inspect.getframeinfo(cast("FrameType", inspect.currentframe()))
@@ -131,9 +137,7 @@ class AbraceNode(Node):
 
     def publish_on(self, message_type: type, topic: str, qos: QoSProfile) -> Publisher:
         """Create a publisher whose number of subscribers is in the diagnostics, and that is flushed at the end."""
-        publisher = self.create_publisher(
-            message_type, topic, qos, event_callbacks=PublisherEventCallbacks(matched=self._on_matched)
-        )
+        publisher = self.create_publisher(message_type, topic, qos)
         self._endpoint_counts.append((f"subscribers of {topic}", publisher.get_subscription_count))
         self._publishers_of_streams.append(publisher)
         return publisher
@@ -142,13 +146,15 @@ class AbraceNode(Node):
         self, message_type: type, topic: str, callback: Callable, qos: QoSProfile, *, raw: bool = False
     ) -> Subscription:
         """Create a subscription whose number of publishers is in the diagnostics."""
-        events = SubscriptionEventCallbacks(matched=self._on_matched)
-        subscription = self.create_subscription(message_type, topic, callback, qos, raw=raw, event_callbacks=events)
+        subscription = self.create_subscription(message_type, topic, callback, qos, raw=raw)
         self._endpoint_counts.append((f"publishers of {topic}", subscription.get_publisher_count))
         return subscription
 
-    def _on_matched(self, status: object) -> None:
-        self.publish_diagnostics()
+    def _look_for_partners(self) -> None:
+        partners = [count() for _, count in self._endpoint_counts]
+        if partners != self._partners:
+            self._partners = partners
+            self.publish_diagnostics()
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """(fault or None, message, values) of the node, for its diagnostics."""
@@ -182,6 +188,9 @@ class AbraceNode(Node):
         else:
             self.get_logger().info(f"fault cleared: {self.reported_fault}")
         self.reported_fault = fault
+
+    def autostart(self) -> None:
+        """Override to begin what needs no command; called once, unless a signal came before."""
 
     def tick(self) -> None:
         """Override; called when `due` has passed."""

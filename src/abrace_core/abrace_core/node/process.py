@@ -6,6 +6,7 @@ wrong, where, and what was expected).
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import select
@@ -13,7 +14,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 
 import rclpy
@@ -24,7 +25,6 @@ from rclpy.utilities import remove_ros_args
 
 from abrace_core.errors import AbraceError
 from abrace_core.node.conventions import AbraceNode, rcl_message
-from abrace_core.node.lifecycle import AbraceLifecycleNode
 
 LONGEST_WAIT = 0.1
 """Seconds that the executor may wait at a time. An untimed wait of the events executor never returns to Python."""
@@ -77,6 +77,16 @@ class _Signals:
                 work()
         finally:
             self._interrupting.clear()
+
+
+@contextlib.contextmanager
+def _signals_wait() -> Iterator[None]:
+    """Hold signals back; threads that are started meanwhile, as those of the middleware, never get any."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
 
 
 def _silence(descriptors: Sequence[int]) -> None:
@@ -183,15 +193,16 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
     arguments = list(sys.argv if arguments is None else arguments)
     program = arguments[0].rsplit("/", 1)[-1]
     try:
-        if END_WITH in os.environ:
-            _end_with(int(os.environ[END_WITH]))
-        _initialize(arguments)
-        node = create()
+        with _signals_wait():
+            if END_WITH in os.environ:
+                _end_with(int(os.environ[END_WITH]))
+            _initialize(arguments)
+            node = create()
         if hasattr(node, "work"):
             signals.interrupt(node.work)
             exit_code = node.exit_code or 0
         else:
-            if isinstance(node, AbraceLifecycleNode):
+            if not signals.stopped:
                 node.autostart()
             exit_code = _spin(node, signals)
     except AbraceError as error:
@@ -200,7 +211,7 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
     except _Stop:
         exit_code = 0
     finally:
-        for number in _SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
+        # for good: at the end of the interpreter nobody takes them, and they would kill it
+        signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         closing_code = _close(node, program)
     return exit_code or closing_code
