@@ -50,11 +50,11 @@ lint: tools  ## ruff and mypy (its types are those of NumPy 2: not where ROS 2 i
 	ruff format --check .
 	[ -n "$(ROS_DISTRO)" ] || mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) $(wildcard src/*/scripts/*.py) docs/write_nodes.py benchmarks tests/support
 
-test: lint  ## lint and all tests: those of the libraries on all cores, then those of the graph one by one
+test: lint  ## lint and all tests: those of the libraries on all cores, then those of the graph, two files at a time
 	@$(ENVIRONMENT)
 	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 	$(TEST_LIBRARIES)
-	python -m pytest tests/graph
+	python -m pytest --numprocesses 2 --dist loadfile tests/graph
 
 test-libraries: tools
 	@$(ENVIRONMENT)

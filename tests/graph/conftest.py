@@ -228,8 +228,16 @@ class Graph:
         return bool(self.call(ChangeState, f"{name}/change_state", request).success)
 
     def state(self, name: str) -> str:
-        """A life cycle node's state."""
-        return str(self.call(GetState, f"{name}/get_state", GetState.Request()).current_state.label)
+        """A life cycle node's state; asked again where a server dropped its answer to a new client."""
+        answers = []
+
+        def answered() -> Any:
+            if not answers or time.monotonic() > asked + 5 * len(answers):
+                answers.append(self.ask(GetState, f"{name}/get_state", GetState.Request()))
+            return next((answer for answer in answers if answer.done()), None)
+
+        asked = time.monotonic()
+        return str(self.until(answered, f"the state of {name}").result().current_state.label)
 
     def clear_fault(self, name: str) -> Trigger.Response:
         """Call a node's clear_fault."""

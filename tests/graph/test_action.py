@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import AccelStamped
 from rclpy.action import ActionClient
 from rosbags.rosbag2 import Reader
 
@@ -16,9 +17,10 @@ class Player:
 
     def __init__(self, graph) -> None:
         self.graph = graph
-        graph.start("plant")
+        graph.start("plant", command_timeout=0.5)
         graph.start("ground_motion")
         self.responses = graph.listen(Response, "response")
+        self.played = graph.listen(AccelStamped, "ground_motion")
         self.client = ActionClient(graph.node, PlayGroundMotion, "play_ground_motion")
         self.feedback = []
         graph.until(self.client.server_is_ready, "the action")
@@ -86,7 +88,10 @@ def test_a_cancelled_motion_comes_smoothly_to_rest(player):
     count = len(player.responses) + 50
     player.graph.until(lambda: len(player.responses) > count, "more responses")
     assert np.abs(player.ground[-20:]).max() < 0.01
-    assert np.abs(np.diff(player.ground)).max() < 0.1
+    # of what was sent: on a busy machine the rig may take two of them as one step
+    sent = np.array([message.accel.linear.x for message in player.played])
+    assert sent[-1] == 0
+    assert np.abs(np.diff(sent)).max() < 0.1
 
 
 def test_an_unknown_record_is_told_with_those_that_are_known(player):
