@@ -58,7 +58,9 @@ def expect_told_apart(faulty, well):
             monitor.spin_once()
             faults.update(monitor.faults)
             names = [status.name for array in heard for status in array.status]
-            return all(names.count(f"{graph.namespace[1:]}/plant: state") >= 2 for graph in (faulty, well))
+            return monitor.values and all(
+                names.count(f"{graph.namespace[1:]}/plant: state") >= 2 for graph in (faulty, well)
+            )
 
         faulty.until(twice_from_both, "two reports of each rig")
         assert monitor.values.keys() == {"plant"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import time
 from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, cast
@@ -26,8 +27,9 @@ from abrace_core.node.parameters import Parameter, declare
 
 RCLError = rclpy_implementation.RCLError
 
-ACKNOWLEDGEMENT_TIMEOUT = Duration(seconds=0.5)
-"""How long a node that ends waits until its subscribers have what it published."""
+ACKNOWLEDGEMENT_TIMEOUT = 4.0
+"""Seconds that a node that ends waits until its subscribers have what it published. On a busy machine the last messages
+may be dropped on the way; they are sent again once the subscriber answers the middleware's heartbeat, every 3 s."""
 
 DIAGNOSTICS = "/diagnostics"
 """Where monitors look for every node's state; absolute, so that they find it whatever the rig's namespace is."""
@@ -209,5 +211,6 @@ class AbraceNode(Node):
 
     def flush_publishers(self) -> None:
         """Wait until subscribers have acknowledged what was published: a destroyed publisher sends nothing more."""
+        deadline = time.monotonic() + ACKNOWLEDGEMENT_TIMEOUT
         for publisher in self._publishers_of_streams:
-            publisher.wait_for_all_acked(ACKNOWLEDGEMENT_TIMEOUT)
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline - time.monotonic())))
