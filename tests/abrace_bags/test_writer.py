@@ -395,7 +395,7 @@ def test_what_fails_in_the_thread_costs_nothing_that_was_written_before(tmp_path
     recording.write(topic, note("no such time"), 2**64, START)
     for k in range(16):
         recording.write(topic, note(str(k)), START + k, START)
-    with pytest.raises(AbraceError, match=r"cannot write bag .*bag: error\('argument out of range'\)"):
+    with pytest.raises(AbraceError, match=r"cannot write bag .*bag: error\("):
         recording.close()
     bag = read_topics(tmp_path / "bag")
     assert list(bag["/note"].fields["data"]) == [str(k) for k in range(32)]
