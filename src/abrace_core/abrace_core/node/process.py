@@ -6,7 +6,7 @@ wrong, where, and what was expected).
 
 from __future__ import annotations
 
-import contextlib
+import ctypes
 import gc
 import os
 import select
@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from types import FrameType
 
 import rclpy
@@ -79,14 +79,16 @@ class _Signals:
             self._interrupting.clear()
 
 
-@contextlib.contextmanager
-def _signals_wait() -> Iterator[None]:
-    """Hold signals back; threads that are started meanwhile, as those of the middleware, never get any."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+def _ignore_signals() -> None:
+    """Ignore signals for good: at the end of the interpreter nobody takes them, and they would kill it.
+
+    First without Python's knowledge: one that came while `signal.signal` runs would be printed as an error.
+    """
+    set_handler = ctypes.pythonapi.PyOS_setsig
+    set_handler.argtypes, set_handler.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p
+    for number in _SIGNALS:
+        set_handler(number, int(signal.SIG_IGN))
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _silence(descriptors: Sequence[int]) -> None:
@@ -193,11 +195,10 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
     arguments = list(sys.argv if arguments is None else arguments)
     program = arguments[0].rsplit("/", 1)[-1]
     try:
-        with _signals_wait():
-            if END_WITH in os.environ:
-                _end_with(int(os.environ[END_WITH]))
-            _initialize(arguments)
-            node = create()
+        if END_WITH in os.environ:
+            _end_with(int(os.environ[END_WITH]))
+        _initialize(arguments)
+        node = create()
         if hasattr(node, "work"):
             signals.interrupt(node.work)
             exit_code = node.exit_code or 0
@@ -211,7 +212,6 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
     except _Stop:
         exit_code = 0
     finally:
-        # for good: at the end of the interpreter nobody takes them, and they would kill it
-        signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+        _ignore_signals()
         closing_code = _close(node, program)
     return exit_code or closing_code
