@@ -65,7 +65,7 @@ def test_without_ramp_time_the_first_force_is_the_laws():
 def test_a_change_of_controller_has_no_jump_in_force():
     active = reset_controller(controller())
     before = run(active, STEPS + 10)[-1]
-    active.change_to(controller("two", -2000.0))
+    active.prepare_change(controller("two", -2000.0))()
     assert (active.state, active.controller.name) == ("warming up", "two")
     np.testing.assert_allclose(run(active, SETTLING), before, rtol=1e-9, err_msg="nothing changes meanwhile")
     assert active.state == "fading in"
@@ -81,7 +81,7 @@ def test_a_change_to_the_same_law_does_not_change_the_force():
     random = np.random.default_rng(1)
     run(active, STEPS + 10)
     run(alone, STEPS + 10)
-    active.change_to(controller())
+    active.prepare_change(controller())()
     for a1 in random.standard_normal(SETTLING + STEPS + 10):
         np.testing.assert_allclose(run(active, 1, a1), run(alone, 1, a1), atol=1e-9)
 
@@ -90,7 +90,7 @@ def test_both_estimates_are_updated_with_the_applied_force():
     one, two = controller(), replace(controller("two", 500.0), correction=np.array([[1e-4]]))
     active, parallel = reset_controller(one), ControlLaw(two, NAMES)
     run(active, STEPS + 10)
-    active.change_to(two)
+    active.prepare_change(two)()
     for a1 in np.random.default_rng(2).standard_normal(SETTLING + STEPS):
         force = np.clip(active.force((0.0, 0.0, a1, 0.0), 0), -100.0, 100.0).tolist()
         active.advance(force)
@@ -126,7 +126,7 @@ def test_a_controller_that_does_not_fit_is_refused_and_nothing_changes(other: Co
     active = reset_controller(controller())
     before = run(active, STEPS + 10)[-1]
     with pytest.raises(AbraceError, match=message):
-        active.change_to(other)
+        active.prepare_change(other)
     assert (active.state, active.controller.name) == ("in use", "one")
     assert run(active, 1)[0] == pytest.approx(before)
 
@@ -134,20 +134,20 @@ def test_a_controller_that_does_not_fit_is_refused_and_nothing_changes(other: Co
 def test_a_change_is_refused_before_the_first_sample_and_during_another():
     active = ActiveController(controller(), RAMP)
     with pytest.raises(AbraceError, match="one is waiting for samples, expected one in use"):
-        active.change_to(controller("two"))
+        active.prepare_change(controller("two"))
     active.reset(NAMES, ("U",), np.zeros(1))
     with pytest.raises(AbraceError, match="one is fading in"):
-        active.change_to(controller("two"))
+        active.prepare_change(controller("two"))
     run(active, STEPS + 1)
-    active.change_to(controller("two"))
+    active.prepare_change(controller("two"))()
     with pytest.raises(AbraceError, match="two is warming up"):
-        active.change_to(controller("three"))
+        active.prepare_change(controller("three"))
 
 
 def test_after_a_fault_during_a_change_the_new_controller_is_in_use():
     active = reset_controller(controller())
     run(active, STEPS + 10)
-    active.change_to(controller("two", 500.0))
+    active.prepare_change(controller("two", 500.0))()
     active.reset(NAMES, ("U",), np.zeros(1))
     assert run(active, STEPS + 200)[-1] == pytest.approx(500.0)
 

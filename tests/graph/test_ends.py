@@ -70,6 +70,8 @@ def test_a_node_ends_with_the_process_that_it_is_bound_to(graph, monkeypatch):
     assert graph.ended("logger") == 0
     assert (graph.folder / "bag/metadata.yaml").is_file()
     expect_refusal(run_node("abrace_plant", "plant"), f"ABRACE_END_WITH={launch.pid}", "has ended")
+    monkeypatch.setenv("ABRACE_END_WITH", "launch")
+    expect_refusal(run_node("abrace_plant", "plant"), "ABRACE_END_WITH=launch", "expected the number of a process")
 
 
 WORKER = """

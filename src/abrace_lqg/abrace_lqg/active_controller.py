@@ -16,7 +16,7 @@ from abrace_core.errors import AbraceError
 from abrace_lqg.control_law import ControlLaw
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -84,8 +84,8 @@ class ActiveController:
         self._names, self._law, self._incoming = tuple(names), None, incoming
         self._initial_force, self._settling_left, self._fade_step = np.array(force), 0, 0
 
-    def check_change(self, controller: Controller) -> ControlLaw:
-        """The law of another `controller`, if `change_to` can change over to it.
+    def prepare_change(self, controller: Controller) -> Callable[[], None]:
+        """What changes over to another `controller` by a fade, after SETTLING_TIME; nothing is changed before.
 
         Raises
         ------
@@ -105,12 +105,13 @@ class ActiveController:
                 f"controller {controller.name}: {', '.join(law.outputs)} within {controller.force_limit.tolist()} N, "
                 f"expected {', '.join(current.law.outputs)} within {current.force_limit.tolist()} N as {current.name}"
             )
-        return ControlLaw(controller, self._names)
+        incoming = ControlLaw(controller, self._names)
 
-    def change_to(self, controller: Controller) -> None:
-        """Change over to another `controller` by a fade, after SETTLING_TIME; raises as `check_change` does."""
-        self._incoming = self.check_change(controller)
-        self.controller, self._settling_left, self._fade_step = controller, round(SETTLING_TIME / self._period), 0
+        def change() -> None:
+            self._incoming = incoming
+            self.controller, self._settling_left, self._fade_step = controller, round(SETTLING_TIME / self._period), 0
+
+        return change
 
     def force(self, values: Sequence[float], lost: int) -> NDArray[np.float64]:
         """The force wanted in answer to a sample.

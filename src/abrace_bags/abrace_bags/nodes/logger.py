@@ -166,8 +166,8 @@ class Logger(AbraceNode):
             topic.count += received
         if not topic.untimed and topic.topic_id in self.open_recording().untimed:
             topic.untimed = True
-            found = f"{topic.subscription.topic}: messages without a valid time, the logger gives them its own"
-            print(f"logger: WARNING {found}", file=sys.stderr, flush=True)
+            name = topic.subscription.topic
+            self.get_logger().warning(f"{name}: messages without a valid time, the logger gives them its own")
         return received
 
     def receive_all(self) -> Recording:

@@ -82,13 +82,21 @@ class _Signals:
 def _ignore_signals() -> None:
     """Ignore signals for good: at the end of the interpreter nobody takes them, and they would kill it.
 
-    First without Python's knowledge: one that came while `signal.signal` runs would be printed as an error.
+    First without Python's knowledge: one that came while `signal.signal` runs would be printed as an error. So would
+    one that another thread was just taking then.
     """
+    sys.unraisablehook = _print_unless_signal
     set_handler = ctypes.pythonapi.PyOS_setsig
     set_handler.argtypes, set_handler.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p
     for number in _SIGNALS:
         set_handler(number, int(signal.SIG_IGN))
         signal.signal(number, signal.SIG_IGN)
+
+
+def _print_unless_signal(unraisable: sys.UnraisableHookArgs) -> None:
+    """Print an error that nobody can catch, unless it is that a signal has been ignored."""
+    if unraisable.exc_type is not OSError or "ignored due to race condition" not in str(unraisable.exc_value):
+        sys.__unraisablehook__(unraisable)
 
 
 def _silence(descriptors: Sequence[int]) -> None:
@@ -97,19 +105,21 @@ def _silence(descriptors: Sequence[int]) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
 
 
-def _end_with(process: int) -> None:
-    """Stop this node as soon as another process has ended, however that ended; a thread waits for it.
+def _end_with(process: str) -> None:
+    """Stop this node as soon as another `process`, by its number, has ended, however that ended; a thread waits for it.
 
     Raises
     ------
     AbraceError
-        If that process has ended already.
+        If there is no such process, or it has ended already.
     """
+    ended = select.poll()
     try:
-        ended = select.poll()
-        ended.register(os.pidfd_open(process), select.POLLIN)
+        ended.register(os.pidfd_open(int(process)), select.POLLIN)
     except ProcessLookupError as error:
         raise AbraceError(f"{END_WITH}={process}: that process, which started this node, has ended") from error
+    except (OSError, ValueError, OverflowError) as error:
+        raise AbraceError(f"{END_WITH}={process}, expected the number of a process") from error
 
     def wait() -> None:
         ended.poll()
@@ -196,7 +206,7 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
     program = arguments[0].rsplit("/", 1)[-1]
     try:
         if END_WITH in os.environ:
-            _end_with(int(os.environ[END_WITH]))
+            _end_with(os.environ[END_WITH])
         _initialize(arguments)
         node = create()
         if hasattr(node, "work"):

@@ -6,7 +6,6 @@ ros2 run abrace_lqg controller --ros-args --params-file lqg3.yaml
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 
@@ -86,9 +85,7 @@ class Controller(BraceCommander):
             raise AbraceError(f"parameter {name}: {value}: the node is not active, expected a controller in use")
         if not value:
             raise AbraceError(f"parameter {name}: empty, expected a controller file")
-        controller = load_controller(value)
-        self.active_controller.check_change(controller)
-        return partial(self.active_controller.change_to, controller)
+        return self.active_controller.prepare_change(load_controller(value))
 
     def restart(self, sequence: int, floors: int, groups: int) -> None:
         """Reset the estimate; the force fades in from this sample on."""
