@@ -42,8 +42,10 @@ class Latency:
         """Median, 99 % and worst of both delays over the last samples [us], where they were measured."""
         found: dict[str, object] = {"late": self.late}
         for name, times in (("answer", self._from_receipt), ("stamp_to_command", self._from_stamp)):
-            if times:
-                values = np.percentile(times, [50, 99, 100]) / 1e3
+            # a copy, in one step: another thread may add meanwhile
+            last = np.array(list(times), dtype=np.int64)
+            if last.size:
+                values = np.percentile(last, [50, 99, 100]) / 1e3
                 for statistic, value in zip(("median", "99_percent", "worst"), values, strict=True):
                     found[f"{name}_{statistic}_us"] = round(value)
         return found

@@ -124,17 +124,18 @@ class BraceCommander(AbraceLifecycleNode):
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Clear the latched fault; the next sample is a first one."""
-        reason = self.guard.fault_reason
-        refusal = "not active" if not self.active else "no fault" if reason is None else ""
-        if self.stop_pressed and not refusal:
-            refusal = f"{EMERGENCY_STOP} is still pressed"
+        with self.lock:
+            reason = self.guard.fault_reason
+            refusal = "not active" if not self.active else "no fault" if reason is None else ""
+            if self.stop_pressed and not refusal:
+                refusal = f"{EMERGENCY_STOP} is still pressed"
+            if not refusal:
+                self.stop_latched = False
+                self.guard.clear()
+                self.watch.sequence = -1
         response.success = not refusal
         response.message = refusal or f"cleared: {reason}"
-        if response.success:
-            self.stop_latched = False
-            self.guard.clear()
-            self.watch.sequence = -1
-            self.report_fault(self.fault)
+        self.report_fault(self.fault)
         return response
 
     @property

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import re
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from typing import Any, cast
 
@@ -14,6 +16,8 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.duration import Duration
+from rclpy.executors import Executor
+from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
@@ -80,7 +84,7 @@ class AbraceNode(Node):
     """
 
     due: float | None = None
-    """When `tick` is to be called [s, monotonic]; None: not at all."""
+    """When `tick` is to be called [s, monotonic]; None: not at all. Set from another thread it takes a `rouse`."""
     exit_code: int | None = None
     """Of the process, once the node has finished."""
     reported_fault: str | None = None
@@ -89,6 +93,9 @@ class AbraceNode(Node):
     """What a person does about the node's faults, for the log."""
 
     def __init__(self, name: str, table: Sequence[Parameter], context: Context | None = None) -> None:
+        self.lock = threading.RLock()
+        """Held while `tick` or a change of a parameter acts; see `AbraceLifecycleNode`."""
+        self.roused = Future()
         Node.__init__(self, name, context=context)
         self.parameters = declare(self, table)
         self._live = {parameter.name: parameter for parameter in table if parameter.live}
@@ -96,9 +103,9 @@ class AbraceNode(Node):
         self.add_pre_set_parameters_callback(self._typed)
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self.add_post_set_parameters_callback(self._on_parameters_set)
-        self.ended = Future()
         self._endpoint_counts: list[tuple[str, Callable[[], int]]] = []
         self._partners: list[int] = []
+        self._diagnostics_due = False
         self._publishers_of_streams: list[Publisher] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -125,15 +132,17 @@ class AbraceNode(Node):
 
     def _on_parameters_set(self, given: list[RosParameter]) -> None:
         """Make use of what has been accepted."""
-        for name, (value, change) in self._changes.items():
-            setattr(self.parameters, name, value)
-            change()
+        with self.lock:
+            for name, (value, change) in self._changes.items():
+                setattr(self.parameters, name, value)
+                change()
         self._changes = {}
 
     def prepare_change(self, name: str, value: Any) -> Callable[[], None]:
         """Check a live parameter's new `value`, or refuse it with an AbraceError; returns what makes use of it.
 
-        That is called once all parameters that are set together have been accepted; until then nothing may change.
+        That is called with the lock once all parameters that are set together have been accepted; until then nothing
+        may change. What takes long belongs here, not there: the loop goes on meanwhile.
         """
         return lambda: None
 
@@ -164,6 +173,7 @@ class AbraceNode(Node):
 
     def publish_diagnostics(self) -> None:
         """Publish the node's state on `/diagnostics`, under its full name, and log a fault that has come or gone."""
+        self._diagnostics_due = False
         fault, message, values = self.diagnose()
         if fault != self.reported_fault:
             self._log_fault(fault)
@@ -180,9 +190,14 @@ class AbraceNode(Node):
         self._diagnostics.publish(array)
 
     def report_fault(self, fault: str | None) -> None:
-        """Publish and log at once what `diagnose` will call the fault, if it has come or gone since the last time."""
-        if fault != self.reported_fault:
-            self.publish_diagnostics()
+        """Have what `diagnose` will call the fault published and logged, if it has come or gone since the last time."""
+        if fault != self.reported_fault and not self._diagnostics_due:
+            self._diagnostics_due = True
+            self.later(self.publish_diagnostics)
+
+    def later(self, act: Callable[[], object]) -> None:
+        """Call `act` where it does not hold up the loop: of a node with one thread, now."""
+        act()
 
     def _log_fault(self, fault: str | None) -> None:
         if fault:
@@ -191,16 +206,46 @@ class AbraceNode(Node):
             self.get_logger().info(f"fault cleared: {self.reported_fault}")
         self.reported_fault = fault
 
+    @contextlib.contextmanager
+    def spun(self) -> Iterator[Executor]:
+        """Gives the executor that the main thread is to spin."""
+        executor = EventsExecutor(context=self.context)
+        executor.add_node(self)
+        try:
+            yield executor
+        finally:
+            executor.remove_node(self)
+            executor.shutdown()
+
     def autostart(self) -> None:
         """Override to begin what needs no command; called once, unless a signal came before."""
 
     def tick(self) -> None:
-        """Override; called when `due` has passed."""
+        """Override; called with the lock when `due` has passed."""
+
+    def turn(self) -> None:
+        """Call `tick` with the lock, if it is still due."""
+        with self.lock:
+            if self.due is not None:
+                self.tick()
+
+    def rouse(self) -> None:
+        """Have the loop look at once whether it is to go on, and when `tick` is due; from any thread."""
+        self.roused.set_result(None)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the process may end."""
+        return True
+
+    def leave(self) -> float:
+        """Begin to come to rest, after a signal; returns the seconds that this may take before the process ends."""
+        return 0.0
 
     def finish(self, exit_code: int, message: str) -> None:
         """End the process after this callback; `message` is its result on standard output, or logged as an error."""
         self.exit_code = exit_code
-        self.ended.set_result(None)
+        self.rouse()
         if exit_code:
             self.get_logger().error(message)
         else:

@@ -3,37 +3,142 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
 from rclpy.context import Context
+from rclpy.executors import Executor
+from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
 
 from abrace_core.errors import AbraceError
 from abrace_core.node.conventions import AbraceNode
 from abrace_core.node.parameters import Parameter
+from abrace_core.node.threads import SWITCH_INTERVAL, TwoThreads
 
 AUTOSTART = Parameter("autostart", True, "configure and activate at once; false: wait for life cycle commands")
+
+
+REST_MARGIN = 0.1
+"""Seconds beyond `ramp_time` after which a node no longer waits until it is at rest."""
 
 
 class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
     """A node that can move something: it does so only while active.
 
     Subclasses implement `configure`, `activate` and `deactivate`; an AbraceError in them refuses the transition. Their
-    table of parameters is without `autostart`.
+    table of parameters is without `autostart`. One that drives something overrides `come_to_rest` and `at_rest` too.
+
+    It has two threads, so that nothing holds up a sample. In the main one run `tick` and the callbacks of
+    subscriptions, with the `lock`. Everything else runs in a second one: services, parameters, timers, diagnostics,
+    actions. What runs there takes the lock to change what the loop uses, for as long as an assignment takes; the
+    methods named above are called with it. What the loop has to say goes there by `later`.
     """
 
     configured = False
     active = False
+    ramp_time = 0.5
+    """Seconds within which `come_to_rest` has brought the node to rest."""
     _refusal: AbraceError | None = None
     _starting = False
+    _threads: TwoThreads | None = None
+    _awaiting_rest = False
 
     def __init__(self, name: str, table: Sequence[Parameter], context: Context | None = None) -> None:
         AbraceNode.__init__(self, name, [*table, AUTOSTART], context)
         LifecycleNodeMixin.__init__(self)
+        self._rest = threading.Condition(self.lock)
         self._permanent = {*self.publishers, *self.subscriptions, *self.services}
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
+
+    @contextlib.contextmanager
+    def spun(self) -> Iterator[Executor]:
+        """Gives the executor that the main thread is to spin; the second thread runs until the end."""
+        executor = EventsExecutor(context=self.context)
+        self._threads = TwoThreads(self, executor, self._failed)
+        interval = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_INTERVAL)
+        self._threads.start()
+        try:
+            yield executor
+        finally:
+            self._threads.stop()
+            self._threads = None
+            sys.setswitchinterval(interval)
+
+    def _failed(self) -> None:
+        self.exit_code = 1
+        self.rouse()
+
+    def later(self, act: Callable[[], object]) -> None:
+        """Have the second thread call `act`, in turn."""
+        if self._threads is None:
+            act()
+        else:
+            self._threads.create_task(act)
+
+    def create_subscription(
+        self, msg_type: type, topic: str, callback: Callable[[Any], None], qos_profile: QoSProfile | int, **options: Any
+    ) -> Subscription:
+        """Create a subscription whose `callback`, of a message, runs in the loop's thread, with the lock."""
+        return super().create_subscription(msg_type, topic, self._in_loop(callback), qos_profile, **options)
+
+    def turn(self) -> None:
+        """Call `tick` with the lock, if it is still due."""
+        super().turn()
+        if self._awaiting_rest:
+            self._tell_rest()
+
+    def _in_loop(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        lock = self.lock
+
+        def call(message: Any) -> None:
+            with lock:
+                callback(message)
+            if self._awaiting_rest:
+                self._tell_rest()
+
+        return call
+
+    def _tell_rest(self) -> None:
+        with self.lock:
+            if self.at_rest:
+                self._awaiting_rest = False
+                self._rest.notify_all()
+                self.rouse()
+
+    def come_to_rest(self) -> None:
+        """Override to begin to come to rest, within `ramp_time`; called with the lock while the node is active.
+
+        The node stays active until `at_rest`, and at most REST_MARGIN beyond `ramp_time`; only then `deactivate` is
+        called, or the process ended.
+        """
+
+    @property
+    def at_rest(self) -> bool:
+        """Override: whether what the node drives is at rest."""
+        return True
+
+    def until_at_rest(self) -> bool:
+        """Wait, without the lock, until the loop has brought the node to rest; returns whether it has in time."""
+        with self._rest:
+            self._awaiting_rest = not self.at_rest
+            return self._rest.wait_for(lambda: self.at_rest, self.ramp_time + REST_MARGIN)
+
+    def leave(self) -> float:
+        """Begin to come to rest, after a signal; returns the seconds that this may take before the process ends."""
+        with self.lock:
+            if not self.active:
+                return 0.0
+            self.come_to_rest()
+            self._awaiting_rest = not self.at_rest
+        return self.ramp_time + REST_MARGIN
 
     def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
         """Refuse a transition that the present state does not have; in rclpy 7.1 it ends the process."""
@@ -59,7 +164,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         """Override to begin."""
 
     def deactivate(self) -> None:
-        """Override to stop, smoothly."""
+        """Override to stop; what the node drives is at rest."""
 
     def cleanup(self) -> None:
         """Override to undo what `configure` did, but for publishers, subscriptions and services."""
@@ -67,9 +172,10 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
     def _transition(
         self, act: Callable[[], None], otherwise: TransitionCallbackReturn = TransitionCallbackReturn.FAILURE
     ) -> TransitionCallbackReturn:
-        """Call one of the methods above; returns `otherwise` where it raises an AbraceError, and logs that."""
+        """Call one of the methods above, with the lock; an AbraceError in it is logged, and `otherwise` returned."""
         try:
-            act()
+            with self.lock:
+                act()
         except AbraceError as error:
             self._refusal = error
             if not self._starting:
@@ -91,32 +197,47 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
 
     def _destroy_endpoints(self) -> None:
         """Destroy the publishers, subscriptions and services that `configure` created."""
-        for publisher in set(self.publishers) - self._permanent:
-            self.destroy_publisher(publisher)
-        for subscription in set(self.subscriptions) - self._permanent:
-            self.destroy_subscription(subscription)
-        for service in set(self.services) - self._permanent:
-            self.destroy_service(service)
+
+        def destroy() -> None:
+            for publisher in set(self.publishers) - self._permanent:
+                self.destroy_publisher(publisher)
+            for subscription in set(self.subscriptions) - self._permanent:
+                self.destroy_subscription(subscription)
+            for service in set(self.services) - self._permanent:
+                self.destroy_service(service)
+
         self._endpoint_counts.clear()
         self._publishers_of_streams.clear()
+        if self._threads is None:
+            destroy()
+        else:
+            self._threads.in_loop(destroy)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Life cycle callback."""
-        result = self._transition(self.activate)
-        self.active = result == TransitionCallbackReturn.SUCCESS
-        if not self.active:
-            self.due = None
+        with self.lock:
+            result = self._transition(self.activate)
+            self.active = result == TransitionCallbackReturn.SUCCESS
+            if not self.active:
+                self.due = None
+        self.rouse()
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Life cycle callback; where it fails the node is reset by `on_error`, never left active."""
-        self.active = False
-        return self._transition(self.deactivate, TransitionCallbackReturn.ERROR)
+        resting = self._transition(self.come_to_rest, TransitionCallbackReturn.ERROR)
+        if resting == TransitionCallbackReturn.SUCCESS and not self.until_at_rest():
+            self.get_logger().error(f"deactivate: not at rest after {self.ramp_time + REST_MARGIN:g} s")
+        with self.lock:
+            self.active = False
+            result = self._transition(self.deactivate, TransitionCallbackReturn.ERROR)
+        return result if resting == TransitionCallbackReturn.SUCCESS else resting
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Life cycle callback."""
-        self.configured = False
-        result = self._transition(self.cleanup, TransitionCallbackReturn.ERROR)
+        with self.lock:
+            self.configured = False
+            result = self._transition(self.cleanup, TransitionCallbackReturn.ERROR)
         self._destroy_endpoints()
         return result
 
@@ -129,10 +250,11 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Life cycle callback: after a transition that failed halfway, the node is at rest and unconfigured."""
-        self.active = self.configured = False
-        self.due = None
-        with contextlib.suppress(Exception):  # logged by the transition; `configure` may not have come far
-            self.cleanup()
+        with self.lock:
+            self.active = self.configured = False
+            self.due = None
+            with contextlib.suppress(Exception):  # logged by the transition; `configure` may not have come far
+                self.cleanup()
         self._destroy_endpoints()
         return TransitionCallbackReturn.SUCCESS
 

@@ -18,16 +18,15 @@ from collections.abc import Callable, Sequence
 from types import FrameType
 
 import rclpy
-from rclpy.experimental import EventsExecutor
+from rclpy.executors import Executor
 from rclpy.logging import LoggingSeverity, get_logger_effective_level, set_logger_level
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from abrace_core.errors import AbraceError
 from abrace_core.node.conventions import AbraceNode, rcl_message
-
-LONGEST_WAIT = 0.1
-"""Seconds that the executor may wait at a time. An untimed wait of the events executor never returns to Python."""
+from abrace_core.node.threads import LONGEST_WAIT
 
 EVENTS_WHEN_LATE = 3
 """Callbacks between two ticks of a node that is late: without the answers in them it cannot catch up."""
@@ -129,33 +128,39 @@ def _end_with(process: str) -> None:
     threading.Thread(target=wait, name="end_with", daemon=True).start()
 
 
-def _spin(node: AbraceNode, signals: _Signals) -> int:
-    """Spin until the node finishes or a signal arrives; returns the exit code."""
-    executor = EventsExecutor()
-    executor.add_node(node)
-    # the garbage collector leaves out the objects made so far: its pauses would delay samples
-    gc.collect()
-    gc.freeze()
-    spin_once = executor.spin_once
-    spin, ended = executor.spin_until_future_complete, node.ended
+def _turn(node: AbraceNode, executor: Executor, over: Callable[[], bool]) -> None:
+    """Spin, and call the node's `tick` when it is due, until it is over; `rouse` has it look at once."""
+    spin_once, spin, turn = executor.spin_once, executor.spin_until_future_complete, node.turn
     monotonic = time.monotonic
-    try:
-        while not signals.stopped and node.exit_code is None:
-            due = node.due
-            if due is None:
-                spin(ended, LONGEST_WAIT)
-                continue
-            wait = due - monotonic()
-            if wait > 0:
-                spin(ended, min(wait, LONGEST_WAIT))
-            else:
-                node.tick()
-                if node.due is not None and node.due <= monotonic():
-                    for _ in range(EVENTS_WHEN_LATE):
-                        spin_once(timeout_sec=0.0)
-    finally:
-        executor.remove_node(node)
-        executor.shutdown()
+    while True:
+        if node.roused.done():
+            node.roused = Future()
+        if over():
+            return
+        due = node.due
+        if due is None:
+            spin(node.roused, LONGEST_WAIT)
+            continue
+        wait = due - monotonic()
+        if wait > 0:
+            spin(node.roused, min(wait, LONGEST_WAIT))
+        else:
+            turn()
+            if node.due is not None and node.due <= monotonic():
+                for _ in range(EVENTS_WHEN_LATE):
+                    spin_once(timeout_sec=0.0)
+
+
+def _spin(node: AbraceNode, signals: _Signals) -> int:
+    """Spin until the node finishes, or has come to rest after a signal; returns the exit code."""
+    with node.spun() as executor:
+        # the garbage collector leaves out the objects made so far: its pauses would delay samples
+        gc.collect()
+        gc.freeze()
+        _turn(node, executor, lambda: signals.stopped or node.exit_code is not None)
+        if node.exit_code is None:
+            latest = time.monotonic() + node.leave()
+            _turn(node, executor, lambda: node.exit_code is not None or node.at_rest or time.monotonic() >= latest)
     return node.exit_code or 0
 
 

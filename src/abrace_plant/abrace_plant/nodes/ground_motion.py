@@ -133,23 +133,26 @@ class GroundMotion(AbraceLifecycleNode):
         try:
             stamp, sequence, _ = self.responses.unpack(payload)
         except AbraceError as error:
-            self.get_logger().error(str(error), throttle_duration_sec=1.0)
+            text = str(error)
+            self.later(lambda: self.get_logger().error(text, throttle_duration_sec=1.0))
             self.come_to_rest()
             return
         if self.watch.update(sequence, stamp) < 0:
             self.restart(sequence)
         playback = self.playback
         if self.watch.problem and playback is not None and playback.played and not playback.cancelled:
-            self.get_logger().error(f"the table comes to rest: {self.watch.problem}")
+            problem = f"the table comes to rest: {self.watch.problem}"
+            self.later(lambda: self.get_logger().error(problem))
             playback.cancel()
         acceleration = playback.answer(sequence) if playback is not None else 0.0
         self.publisher.publish(pack_acceleration(stamp, acceleration))
-        if playback is not None and self.goal is not None:
+        goal = self.goal
+        if playback is not None and goal is not None:
             if playback.done:
                 self.end_goal(playback)
             elif sequence % FEEDBACK_EVERY == 0:
                 feedback = PlayGroundMotion.Feedback(elapsed=playback.elapsed, duration=playback.duration)
-                self.goal.publish_feedback(feedback)
+                self.later(lambda: goal.publish_feedback(feedback))
 
     def end_goal(self, playback: Playback) -> None:
         """Send the result of the goal that played, if there is one."""
@@ -194,9 +197,10 @@ class GroundMotion(AbraceLifecycleNode):
             self.get_logger().error(f"play_ground_motion refused: {message}")
             self.server.notify_execute(goal, lambda goal: self.refuse(goal, message))
             return
-        self.playback = Playback(motion, self.parameters.sample_rate)
-        self.goal = goal
         goal.execute()
+        with self.lock:
+            self.playback = Playback(motion, self.parameters.sample_rate)
+            self.goal = goal
 
     def refuse(self, goal: ServerGoalHandle, message: str) -> PlayGroundMotion.Result:
         """The result of a goal that cannot be played."""
@@ -206,7 +210,8 @@ class GroundMotion(AbraceLifecycleNode):
 
     def on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         """Ramp the table to rest."""
-        self.come_to_rest()
+        with self.lock:
+            self.come_to_rest()
         return CancelResponse.ACCEPT
 
     def on_end(self, goal: ServerGoalHandle, playback: Playback) -> PlayGroundMotion.Result:

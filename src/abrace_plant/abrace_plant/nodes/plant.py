@@ -203,11 +203,13 @@ class Plant(AbraceLifecycleNode):
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Clear the latched fault."""
-        reason = self.loop.fault_reason
-        response.success = reason is not None and not self.pressed
+        with self.lock:
+            reason = self.loop.fault_reason
+            response.success = reason is not None and not self.pressed
+            if response.success:
+                self.loop.clear_faults()
         if response.success:
             response.message = f"cleared: {reason}"
-            self.loop.clear_faults()
             self.report_fault(self.loop.fault_reason)
         else:
             response.message = "emergency stop is still pressed" if reason else "no fault"

@@ -1,0 +1,129 @@
+"""The two threads of a node that streams: nothing holds up the loop, and a node that ends has come to rest before."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rcl_interfaces.msg import Parameter
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import get_parameter_value
+from std_msgs.msg import Int64
+from std_srvs.srv import Trigger
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+SHAKER = """
+import sys, threading, time
+from std_msgs.msg import Int64
+from std_srvs.srv import Trigger
+from abrace_core.node import AbraceLifecycleNode, Parameter, run
+from abrace_core.node.conventions import STREAM_QOS
+
+class Shaker(AbraceLifecycleNode):
+    ticks = heard = ramp = 0
+    resting = False
+
+    def __init__(self):
+        super().__init__("shaker", [Parameter("level", 1.0, "m/s^2", live=True)])
+
+    def configure(self):
+        self.publisher = self.publish_on(Int64, "ticks", STREAM_QOS)
+        self.subscribe_to(Int64, "input", self.on_input, STREAM_QOS)
+        self.create_service(Trigger, "~/threads", self.on_threads)
+
+    def activate(self):
+        self.ramp, self.resting, self.due = 100, False, time.monotonic()
+
+    def come_to_rest(self):
+        self.resting = True
+
+    @property
+    def at_rest(self):
+        return self.ramp == 0
+
+    def deactivate(self):
+        print("deactivated at", self.ramp, flush=True)
+        self.due = None
+
+    def tick(self):
+        self.ticks += 1
+        self.ramp -= self.resting and self.ramp > 0
+        self.due = time.monotonic() + 0.002
+        self.ticking = threading.current_thread().name
+        self.publisher.publish(Int64(data=self.ticks))
+        self.report_fault(self.fault)
+
+    def on_input(self, message):
+        self.hearing = threading.current_thread().name
+        self.heard = message.data
+
+    @property
+    def fault(self):
+        return "too much" if self.parameters.level > 9 else None
+
+    def diagnose(self):
+        self.diagnosing = threading.current_thread().name
+        return self.fault, "running", {}
+
+    def prepare_change(self, name, value):
+        wanted = self.ticks + 100
+        while self.ticks < wanted:
+            pass
+        return lambda: None
+
+    def on_threads(self, request, response):
+        threads = self.ticking, self.hearing, self.diagnosing, threading.current_thread().name
+        response.message = " ".join(threads)
+        return response
+
+    def close(self):
+        print("closed at", self.ramp, flush=True)
+
+sys.exit(run(Shaker, ["shaker", *sys.argv[1:]]))
+"""
+
+
+@pytest.fixture
+def shaker(graph: Any) -> Iterator[subprocess.Popen]:
+    """A node that ticks, and takes 100 ticks to come to rest."""
+    command = [sys.executable, "-c", SHAKER, "--ros-args", "-r", f"__ns:={graph.namespace}"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        graph.until(lambda: "shaker" in graph.statuses, "the node")
+        yield process
+        process.kill()
+
+
+def test_the_loop_goes_on_while_services_work_and_comes_to_rest_before_it_is_deactivated(graph, shaker):
+    ticks = graph.listen(Int64, "ticks")
+    publisher = graph.publisher(Int64, "input")
+    publisher.publish(Int64(data=7))
+    graph.until(lambda: ticks, "the first tick")
+
+    high = Parameter(name="level", value=get_parameter_value("10.0"))
+    request = SetParameters.Request(parameters=[high])
+    # the change is prepared until the loop has ticked a hundred times
+    assert graph.call(SetParameters, "shaker/set_parameters", request).results[0].successful
+    graph.until_fault("shaker", "too much")
+
+    said = graph.call(Trigger, "shaker/threads", Trigger.Request()).message
+    assert said == "MainThread MainThread services services"
+
+    assert graph.change_state("shaker", "deactivate")
+    shaker.send_signal(signal.SIGINT)
+    output = shaker.communicate(timeout=30)[0].splitlines()
+    assert [line for line in output if " at " in line] == ["deactivated at 0", "closed at 0"], output
+    assert shaker.returncode == 0
+
+
+def test_a_node_that_a_signal_ends_comes_to_rest_before(graph, shaker):
+    ticks = graph.listen(Int64, "ticks")
+    graph.until(lambda: ticks, "the first tick")
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGINT):
+        shaker.send_signal(number)
+    assert shaker.communicate(timeout=30)[0] == "closed at 0\n"
+    assert shaker.returncode == 0
