@@ -75,8 +75,11 @@ def test_repeated_whole_periods_pass_the_guard_bit_for_bit():
     assert len(commands) == 3 * PERIOD
     assert (commands.reshape(3, PERIOD) == commands[:PERIOD]).all()
     guard = CommandGuard([24500.0], [5.0e6], 0.002, 0.5)
-    passed = np.array([guard.check([force])[0] for force in commands[: PERIOD + 100]])
-    assert (passed == commands[: PERIOD + 100]).all()
+    passed = []
+    for force in commands[: PERIOD + 100]:
+        guard.follow([force])
+        passed.append(guard.value[0])
+    assert (np.array(passed) == commands[: PERIOD + 100]).all()
     assert guard.rate_limits == guard.saturations == 0
 
 

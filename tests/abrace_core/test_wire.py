@@ -8,13 +8,14 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 
 from abrace_core.errors import AbraceError
-from abrace_core.wire import BraceCommands, Responses, pack_acceleration, read_header, unpack_acceleration
+from abrace_core.wire import BraceCommands, Head, Responses, pack_acceleration, read_header, unpack_acceleration
 from abrace_interfaces.msg import BraceCommand, Response
 
 finite = st.floats(allow_nan=False, width=64)
 stamps = st.integers(0, 2**31 * 10**9 - 1)
 sequences = st.integers(0, 2**64 - 1)
 frames = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=20)
+texts = st.text(st.characters(min_codepoint=32, max_codepoint=0x2FF), max_size=20)
 sizes = st.tuples(st.integers(1, 7), st.integers(1, 4))
 
 
@@ -25,7 +26,15 @@ def time(stamp: int) -> Time:
 @st.composite
 def responses(draw) -> Response:
     floors, groups = draw(sizes)
-    message = Response(sequence=draw(sequences), ground_acceleration=draw(finite))
+    message = Response(
+        run=draw(sequences),
+        sequence=draw(sequences),
+        clipped=draw(sequences),
+        flags=draw(st.integers(0, 2**32 - 1)),
+        state=draw(st.integers(0, 255)),
+        ground_acceleration=draw(finite),
+        cause=draw(texts),
+    )
     message.header.stamp = time(draw(stamps))
     message.header.frame_id = draw(frames)
     for name, length in (
@@ -39,13 +48,19 @@ def responses(draw) -> Response:
     return message
 
 
+def head(message: Response) -> Head:
+    return Head(message.run, message.sequence, message.clipped, message.flags, message.state)
+
+
 @given(responses(), responses())
 def test_responses_are_read_as_rclpy_wrote_them_when_the_rig_changes_too(first, second):
     reader = Responses()
     for message in (first, second, first):
-        stamp, sequence, z = reader.unpack(serialize_message(message))
+        payload = serialize_message(message)
+        stamp, found, z = reader.unpack(payload)
         assert time(stamp) == message.header.stamp
-        assert sequence == message.sequence
+        assert found == head(message)
+        assert reader.cause(payload) == message.cause
         assert z == (*message.displacement, *message.stroke, *message.acceleration, *message.force)
         assert (reader.floors, reader.groups) == (len(message.displacement), len(message.stroke))
 
@@ -55,18 +70,20 @@ def test_rclpy_reads_responses_as_they_were_packed(message):
     stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
     message.header.frame_id = "table"
     arrays = (message.displacement, message.acceleration, message.stroke, message.force, message.command)
-    packed = Responses().pack(stamp, message.sequence, *arrays, message.ground_acceleration)
-    assert deserialize_message(packed, Response) == message
+    packer = Responses()
+    for _ in range(2):
+        packed = packer.pack(stamp, head(message), message.cause, *arrays, message.ground_acceleration)
+        assert deserialize_message(packed, Response) == message
 
 
-@given(stamps, sequences, frames, st.lists(finite, max_size=4))
-def test_commands_are_the_same_to_rclpy_both_ways(stamp, sequence, frame, force):
-    message = BraceCommand(sequence=sequence, force=force)
+@given(stamps, sequences, sequences, frames, st.lists(finite, max_size=4), texts)
+def test_commands_are_the_same_to_rclpy_both_ways(stamp, run, sequence, frame, force, fault):
+    message = BraceCommand(run=run, sequence=sequence, force=force, fault=fault)
     message.header.stamp = time(stamp)
-    packed = BraceCommands().pack(stamp, sequence, force)
+    packed = BraceCommands().pack(stamp, run, sequence, force, fault)
     assert deserialize_message(packed, BraceCommand) == message
     message.header.frame_id = frame
-    assert BraceCommands().unpack(serialize_message(message)) == (sequence, tuple(force))
+    assert BraceCommands().unpack(serialize_message(message)) == (run, sequence, tuple(force), fault)
 
 
 @given(stamps, frames, finite)
@@ -82,27 +99,26 @@ def test_ground_accelerations_are_the_same_to_rclpy_both_ways(stamp, frame, acce
 
 def test_packed_messages_have_no_stray_bytes():
     x, u = [0.5, 0.25, 0.125], [1.0]
-    packed = [Responses().pack(7, 8, x, x, u, u, u, 0.5) for _ in range(2)]
+    packed = [Responses().pack(7, Head(1, 8, 0, 0, 3), "", x, x, u, u, u, 0.5) for _ in range(2)]
     assert packed[0] == packed[1]
     assert packed[0][22:28] == bytes(6), "padding after frame_id"
 
 
 @given(responses(), st.data())
 def test_a_cut_response_is_refused(message, data):
-    whole = Responses().pack(
-        5, 6, message.displacement, message.acceleration, message.stroke, message.force, message.command, 0.5
-    )
+    arrays = (message.displacement, message.acceleration, message.stroke, message.force, message.command)
+    whole = Responses().pack(5, head(message), message.cause, *arrays, 0.5)
     cut = whole[: data.draw(st.integers(0, len(whole) - 1))]
-    with pytest.raises(AbraceError, match=r"Response|message"):
-        Responses().unpack(cut)
     reader = Responses()
     reader.unpack(whole)
-    with pytest.raises(AbraceError, match=r"Response|message"):
-        reader.unpack(cut)
+    for one in (Responses(), reader):
+        with pytest.raises(AbraceError, match=r"Response|message"):
+            one.unpack(cut)
+            one.cause(cut)
 
 
 def test_cut_commands_and_accelerations_are_refused():
-    command, acceleration = BraceCommands().pack(1, 2, [3.0, 4.0]), pack_acceleration(1, 2.0)
+    command, acceleration = BraceCommands().pack(1, 2, 3, [3.0, 4.0], "why"), pack_acceleration(1, 2.0)
     for length in range(len(command)):
         with pytest.raises(AbraceError):
             BraceCommands().unpack(command[:length])

@@ -7,11 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from abrace_core.errors import AbraceError
+from abrace_core.safety.rig_safety import RAMP_TIME, RigSafety, State
 from abrace_core.simulation import simulate
-from abrace_plant.live.loop import COMMAND, GROUND, RAMP_TIME, RigLoop
+from abrace_core.wire import LAST, LATE, LOCKSTEP, SATURATED
+from abrace_plant.devices.device import Reading
+from abrace_plant.devices.simulated import SimulatedRig
+from abrace_plant.live.loop import COMMAND, GROUND, RigLoop, rig_outputs
 from abrace_plant.rig.file import load_rig
 
 TIMEOUT = 0.02
+RUN = 5
+LATE_LIMIT = 10
 
 
 @pytest.fixture(scope="module")
@@ -19,127 +26,204 @@ def rig():
     return load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml")
 
 
-def loop_of(rig) -> RigLoop:
-    return RigLoop(rig, 1, TIMEOUT)
+class Bench:
+    """A loop with its safety and all of its samples."""
 
+    def __init__(self, rig) -> None:
+        self.safety = RigSafety()
+        self.safety.configure(rig_outputs(rig), 1 / rig.sample_rate)
+        self.safety.activate()
+        self.device = SimulatedRig(rig, 1, by_the_clock=False)
+        self.loop = RigLoop(rig, self.device, self.safety, TIMEOUT, LATE_LIMIT, RUN, lockstep=True)
+        self.samples = []
 
-def drive(loop: RigLoop, forces, ground=None) -> np.ndarray:
-    """Answer sample after sample with these forces; returns the commands in force until each sample."""
-    commands = []
-    for k, force in enumerate(forces):
-        sample = loop.sample()
-        commands.append(sample.command[0])
+    def step(self):
+        self.samples.append(self.loop.step())
+        return self.samples[-1]
+
+    def answer(self, force=None, ground=None, fault="") -> None:
+        """Answer the last sample."""
         if force is not None:
-            loop.receive_command(sample.sequence, [force])
+            self.loop.receive_command(RUN, self.loop.sequence, np.atleast_1d(force).tolist(), fault)
         if ground is not None:
-            loop.receive_ground_acceleration(sample.sequence, ground[k])
-    return np.array(commands)
+            self.loop.receive_ground_acceleration(self.samples[-1].stamp, ground)
+
+    def drive(self, forces, ground=None) -> np.ndarray:
+        """Answer sample after sample with these forces; returns the commands in force until each sample."""
+        commands = []
+        for k, force in enumerate(forces):
+            commands.append(self.step().command[0])
+            self.answer(force, None if ground is None else ground[k])
+        return np.array(commands)
 
 
-def test_a_command_from_sample_k_is_in_force_until_sample_k_plus_2(rig):
-    commands = drive(loop_of(rig), [100.0 * k for k in range(20)])
+@pytest.fixture
+def bench(rig) -> Bench:
+    return Bench(rig)
+
+
+def test_a_command_from_sample_k_is_in_force_until_sample_k_plus_2(bench):
+    commands = bench.drive([100.0 * k for k in range(20)])
     np.testing.assert_array_equal(commands[2:], [100.0 * k for k in range(18)])
     np.testing.assert_array_equal(commands[:2], 0)
 
 
-def test_readings_are_the_rigs_exact_motion_within_the_sensors_noise(rig):
+def test_readings_are_the_rigs_exact_motion_within_the_sensors_noise(rig, bench):
     random = np.random.default_rng(3)
     forces, ground = random.normal(0, 500, 800), random.normal(0, 0.1, 800)
-    loop = loop_of(rig)
-    readings = []
-    for force, acceleration in zip(forces, ground, strict=True):
-        sample = loop.sample()
-        readings.append(sample.reading)
-        loop.receive_command(sample.sequence, [force])
-        loop.receive_ground_acceleration(sample.sequence, acceleration)
+    bench.drive(forces, ground)
     inputs = np.column_stack([[0, *ground[:-1]], [0, *forces[:-1]]])
     exact = np.column_stack([simulate(rig.discrete_model(), inputs), inputs[:, 0]])
     channels = rig.sensors.channels(rig.floors, rig.groups)
     noise = np.array([channel.noise + channel.range / 2**channel.bits for channel in channels])
-    assert (np.abs(np.array(readings) - exact) < 6 * noise).all()
+    assert (np.abs(np.array([sample.reading for sample in bench.samples]) - exact) < 6 * noise).all()
 
 
 def test_the_same_seed_and_inputs_give_the_same_readings(rig):
-    one, two = loop_of(rig), loop_of(rig)
-    for k in range(50):
-        np.testing.assert_array_equal(one.sample().reading, two.sample().reading)
-        for loop in (one, two):
-            loop.receive_command(k, [50.0 * k])
+    one, two = Bench(rig), Bench(rig)
+    for bench in (one, two):
+        bench.drive([50.0 * k for k in range(50)])
+    assert one.samples == two.samples
 
 
-def test_an_answer_says_which_sample_it_answers(rig):
-    loop = loop_of(rig)
-    loop.sample()
-    assert not loop.answered(COMMAND)
-    loop.receive_command(0, [1.0])
-    assert loop.answered(COMMAND)
-    assert not loop.answered(GROUND)
-    loop.sample()
-    assert not loop.answered(COMMAND)
+def test_an_answer_says_which_sample_it_answers(bench):
+    bench.step()
+    assert not bench.loop.answered(COMMAND)
+    bench.answer(1.0)
+    assert bench.loop.answered(COMMAND)
+    assert not bench.loop.answered(GROUND)
+    bench.step()
+    assert not bench.loop.answered(COMMAND)
 
 
-def test_old_and_future_answers_are_counted_and_do_not_act(rig):
-    loop = loop_of(rig)
-    drive(loop, [0.0] * 5)
-    loop.receive_command(99, [1000.0])
-    loop.receive_command(2, [1000.0])
-    drive(loop, [None] * 3)
-    assert loop.counters()["late_commands"] >= 2
-    assert not loop.sample().command.any()
+def test_old_and_future_answers_and_those_of_another_run_are_counted_and_do_not_act(bench):
+    bench.drive([0.0] * 5)
+    for run, sequence in ((RUN, 99), (RUN, 2), (RUN - 1, bench.loop.sequence)):
+        bench.loop.receive_command(run, sequence, [1000.0], "")
+    bench.loop.receive_ground_acceleration(123, 1.0)
+    assert not bench.drive([None] * 4).any()
+    assert bench.loop.counters()["late_commands"] >= 2
+    assert bench.loop.counters()["answers_to_unknown_samples"] == 2
+    assert not bench.safety.cause
 
 
 @pytest.mark.parametrize("bad", [[float("nan")], [float("inf")], [1.0, 2.0], []])
-def test_a_bad_command_is_a_latched_fault(rig, bad):
-    loop = loop_of(rig)
-    drive(loop, [2000.0] * 20)
-    loop.sample()
-    loop.receive_command(loop.sequence, bad)
-    drive(loop, [2000.0] * round(RAMP_TIME * 500 + 5))
-    assert loop.fault_reason
-    assert not loop.sample().command.any()
+def test_a_bad_command_stops_braces_and_table_and_every_sample_says_so(bench, bad):
+    bench.drive([2000.0] * 20, [0.3] * 20)
+    bench.step()
+    bench.loop.receive_command(RUN, bench.loop.sequence, bad, "")
+    bench.drive([2000.0] * 1600, [0.3] * 1600)
+    states = [sample.head.state for sample in bench.samples]
+    assert states[:21] == [State.RUNNING] * 21
+    assert states[21:] == sorted(states[21:])
+    assert set(states[21:]) == {State.RAMPING_DOWN, State.LATCHED}
+    assert "command" in bench.samples[21].cause
+    last = bench.samples[-1]
+    assert not any(last.command)
+    assert abs(last.reading[-1]) < 0.01
+    assert abs(bench.safety.outputs[1].state.velocity) < 1e-9
 
 
-def test_two_answers_to_a_sample_are_a_fault(rig):
-    loop = loop_of(rig)
-    loop.sample()
-    loop.receive_command(0, [1.0])
-    loop.receive_command(0, [1.0])
-    assert "one sender was expected" in loop.fault_reason
+def test_two_answers_to_a_sample_are_a_fault(bench):
+    bench.step()
+    bench.answer(1.0)
+    bench.answer(1.0)
+    assert "one sender was expected" in bench.safety.cause
 
 
-def test_a_command_that_stays_away_is_a_fault_and_the_force_ends_smoothly(rig):
-    loop = loop_of(rig)
-    drive(loop, [8000.0] * 30)
-    commands = drive(loop, [None] * round((TIMEOUT + RAMP_TIME) * 500 + 5))
-    assert "no brace_command" in loop.fault_reason
+def test_a_fault_of_the_sender_is_one_of_the_rig(bench):
+    bench.drive([2000.0] * 20)
+    bench.step()
+    bench.answer(2000.0, fault="7 samples lost")
+    bench.step()
+    assert bench.samples[-1].cause == "brace_command: its sender reports: 7 samples lost"
+    assert bench.samples[-1].head.state == State.RAMPING_DOWN
+
+
+def test_a_command_that_stays_away_is_a_fault_and_the_force_ends_smoothly(bench):
+    bench.drive([8000.0] * 30)
+    commands = bench.drive([None] * round((TIMEOUT + RAMP_TIME) * 500 + 5))
+    assert "no brace_command" in bench.safety.cause
     assert commands[-1] == 0
     assert np.abs(np.diff(commands)).max() < 8000.0 * np.pi / 2 / (RAMP_TIME * 500) * 1.02
 
 
-def test_a_zero_command_may_stay_away(rig):
-    loop = loop_of(rig)
-    drive(loop, [500.0] * 10 + [0.0] * 5 + [None] * 200)
-    assert loop.fault_reason is None
+def test_a_zero_command_may_stay_away(bench):
+    bench.drive([500.0] * 10 + [0.0] * 5 + [None] * 200)
+    assert bench.safety.state is State.RUNNING
 
 
-def test_a_ground_motion_that_stays_away_brings_the_table_to_rest_but_not_the_braces(rig):
-    loop = loop_of(rig)
-    drive(loop, [1000.0] * 30, [1.0] * 30)
-    drive(loop, [1000.0] * 400)
-    assert "no ground_motion" in loop.fault_reason
-    sample = loop.sample()
-    assert abs(sample.reading[-1]) < 0.01
-    assert sample.command[0] == 1000.0
+def test_a_ground_motion_that_stays_away_brings_table_and_braces_to_rest(bench):
+    bench.drive([1000.0] * 30, [1.0] * 30)
+    bench.drive([1000.0] * 1600)
+    assert "no ground_motion" in bench.safety.cause
+    assert not any(bench.samples[-1].command)
+    assert abs(bench.samples[-1].reading[-1]) < 0.01
 
 
-def test_only_clearing_ends_a_fault(rig):
-    loop = loop_of(rig)
-    drive(loop, [1000.0] * 10)
-    loop.fault("emergency stop")
-    assert drive(loop, [1000.0] * 400)[-1] == 0
-    loop.clear_faults()
-    assert loop.fault_reason is None
-    assert drive(loop, [1000.0] * 5)[-1] == 1000.0
+def test_it_is_cleared_at_rest_alone_and_then_the_force_fades_in(bench):
+    bench.drive([8000.0] * 10)
+    bench.safety.fault("test")
+    bench.drive([8000.0] * 100)
+    with pytest.raises(AbraceError, match="still on the way to rest"):
+        bench.safety.clear(bench.loop.moving())
+    bench.drive([8000.0] * 300)
+    with pytest.raises(AbraceError, match="brace_command still asks for 8000, expected every input at rest first"):
+        bench.safety.clear(bench.loop.moving())
+    bench.answer(0.0, fault="latched")
+    bench.drive([0.0] * 2)
+    bench.step()
+    bench.loop.receive_command(RUN, bench.loop.sequence, [0.0], "latched")
+    with pytest.raises(AbraceError, match="its sender reports a fault: latched"):
+        bench.safety.clear(bench.loop.moving())
+    bench.drive([0.0] * 2)
+    assert bench.safety.clear(bench.loop.moving()) == "test"
+    force = bench.drive([8000.0] * 300)
+    assert force[-1] == 8000.0
+    assert np.abs(np.diff(force)).max() < 8000.0 * np.pi / 2 / (RAMP_TIME * 500) * 1.02
+
+
+def reading(bench, missed=0, late=False) -> Reading:
+    return Reading(np.zeros(9), 1, 0, missed, late)
+
+
+def test_a_rig_that_was_held_up_is_a_fault_and_its_samples_are_missing(bench):
+    bench.drive([0.0] * 5)
+    assert bench.loop.take(reading(bench, LATE_LIMIT, True)).head.sequence == 5 + LATE_LIMIT
+    assert not bench.safety.cause
+    assert bench.loop.take(reading(bench, LATE_LIMIT + 1, True)).head.flags == LATE | LOCKSTEP
+    assert "held up: 11 samples missed before sample 27" in bench.safety.cause
+    assert bench.loop.missed == 21
+
+
+def test_samples_that_are_late_in_a_row_are_a_fault(bench):
+    for _ in range(3):
+        for _ in range(LATE_LIMIT):
+            bench.loop.take(reading(bench, 0, True))
+        assert not bench.safety.cause
+        bench.loop.take(reading(bench))
+    for _ in range(LATE_LIMIT + 1):
+        bench.loop.take(reading(bench, 0, True))
+    assert "11 samples in a row were taken late" in bench.safety.cause
+
+
+def test_the_last_sample_of_a_run_is_the_first_at_rest(bench):
+    bench.drive([8000.0] * 30)
+    bench.safety.deactivate()
+    bench.loop.ending = True
+    while not bench.loop.ended:
+        bench.step()
+        bench.answer(8000.0)
+    heads = [sample.head for sample in bench.samples]
+    assert [bool(head.flags & LAST) for head in heads] == [False] * (len(heads) - 1) + [True]
+    assert heads[-1].state == State.STANDBY
+    assert len(heads) - 30 == RAMP_TIME * 500
+
+
+def test_what_was_limited_is_told(bench):
+    bench.drive([1e5] * 10)
+    assert bench.samples[-1].head.flags & SATURATED
+    assert not bench.samples[0].head.flags & SATURATED
 
 
 @settings(max_examples=20)
@@ -148,17 +232,14 @@ def test_only_clearing_ends_a_fault(rig):
     stop=st.integers(0, 60),
 )
 def test_the_force_is_finite_within_capacity_and_rate_whatever_comes(rig, forces, stop):
-    loop = loop_of(rig)
-    commands = []
+    bench = Bench(rig)
     for k, force in enumerate(forces):
-        sample = loop.sample()
-        commands.append(sample.command[0])
-        assert np.isfinite(sample.reading).all()
-        if force is not None:
-            loop.receive_command(k, [force])
+        bench.drive([force])
         if k == stop:
-            loop.fault("emergency stop")
+            bench.safety.stop("pressed by panel")
+    commands = [sample.command[0] for sample in bench.samples]
     capacity, step = rig.capacity[0], rig.rate_limit[0] / rig.sample_rate
+    assert np.isfinite([sample.reading for sample in bench.samples]).all()
     assert np.isfinite(commands).all()
     assert np.abs(commands).max() <= capacity
     assert np.abs(np.diff(commands, prepend=0.0)).max() <= step * (1 + 1e-12)

@@ -263,10 +263,11 @@ class Commander:
         self._publisher = graph.publisher(BraceCommand, "brace_command")
         graph.until(lambda: self.responses, "the rig's first sample")
 
-    def send(self, force: Sequence[float]) -> None:
-        """Answer the present sample."""
+    def send(self, force: Sequence[float], fault: str = "") -> None:
+        """Answer the present sample, with the `fault` of its own that it reports."""
         sample = self.responses[-1]
-        self._publisher.publish(BraceCommand(header=sample.header, sequence=sample.sequence, force=force))
+        answer = BraceCommand(run=sample.run, sequence=sample.sequence, force=force, fault=fault)
+        self._publisher.publish(answer)
 
     def answer(self, *forces: Sequence[float]) -> None:
         """Answer as many samples, each with its force."""
@@ -278,6 +279,11 @@ class Commander:
     def hold(self, force: float, samples: int) -> None:
         """Answer so many samples with this force."""
         self.answer(*[[force]] * samples)
+
+    @property
+    def states(self) -> np.ndarray:
+        """(samples,) of the rig."""
+        return np.array([response.state for response in self.responses])
 
     @property
     def commands(self) -> np.ndarray:

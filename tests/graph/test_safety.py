@@ -7,6 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+
+from abrace_interfaces.msg import Response
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -43,20 +47,25 @@ class Bench:
         assert np.abs(force[-20:]).max() < 0.1 * PUSH, "what is left is the building moving the actuator"
 
     def expect_latched_until_cleared(self, reason: str) -> None:
-        """The fault is reported, stays, and goes by clear_fault alone; then a new command acts."""
+        """The fault is reported and told by every sample, stays, and goes by clear_fault alone, with nothing commanded."""
         self.graph.until_fault("plant", reason)
         self.hand.hold(PUSH, 20)
         assert not self.hand.commands[-20:].any()
-        answers = []
-
-        def cleared() -> bool:
-            answers.append(self.graph.clear_fault("plant"))
-            return answers[-1].success
-
-        self.graph.until(cleared, "the fault to be cleared")
-        assert reason in answers[-1].message
-        self.hand.hold(3000.0, 5)
+        assert self.hand.responses[-1].state == Response.LATCHED
+        assert reason in self.hand.responses[-1].cause
+        refused = self.graph.clear_fault("plant")
+        assert not refused.success
+        assert refused.message == "brace_command still asks for 20000, expected every input at rest first"
+        self.hand.hold(0.0, 2)
+        answer = self.graph.clear_fault("plant")
+        assert answer.success, answer.message
+        assert reason in answer.message
+        self.hand.hold(3000.0, RAMP_SAMPLES + 5)
+        assert self.hand.responses[-1].state == Response.RUNNING
+        assert not self.hand.responses[-1].cause
         assert self.hand.commands[-1] == 3000.0
+        faded = self.hand.commands[-RAMP_SAMPLES - 5 :]
+        assert np.abs(np.diff(faded)).max() < 3000.0 * math.pi / 2 / RAMP_SAMPLES * 1.01, "it fades in"
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +79,9 @@ def rig(new_graph: Callable, new_commander: Callable) -> Iterator[Bench]:
 @pytest.fixture
 def bench(rig: Bench) -> Bench:
     """The plant without a fault and without force."""
+    rig.hand.hold(0.0, RAMP_SAMPLES + 10)
     rig.graph.clear_fault("plant")
-    rig.hand.hold(0.0, 50)
+    rig.hand.hold(0.0, RAMP_SAMPLES + 10)
     assert not rig.hand.commands[-10:].any()
     return rig
 
@@ -101,16 +111,65 @@ def test_two_answers_to_one_sample_take_the_force_smoothly_to_zero(bench):
     bench.expect_latched_until_cleared("two messages on brace_command")
 
 
-def test_the_emergency_stop_takes_the_force_smoothly_to_zero(bench):
+def test_it_is_not_cleared_on_the_way_to_rest(bench):
+    first = bench.push()
+    bench.hand.answer([math.nan])
+    bench.hand.hold(PUSH, 100)
+    answer = bench.graph.clear_fault("plant")
+    assert not answer.success
+    assert answer.message.startswith("still on the way to rest (command ")
+    bench.expect_smooth_end(first + 1)
+
+
+def test_a_fault_of_the_commander_stops_the_rig(bench):
+    first = bench.push()
+    bench.hand.send([PUSH], "its law is lost")
+    bench.graph.until(lambda: len(bench.hand.responses) > first, "the next sample")
+    bench.expect_smooth_end(first + 1)
+    bench.expect_latched_until_cleared("brace_command: its sender reports: its law is lost")
+
+
+QOS = {
+    "the default of rclpy and ros2 topic pub": QoSProfile(depth=10),
+    "latched": QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+    "best effort": QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
+}
+
+
+@pytest.mark.parametrize("topic", ["emergency_stop", "/emergency_stop"])
+@pytest.mark.parametrize("qos", QOS.values(), ids=QOS)
+def test_a_stop_is_heard_on_both_names_with_any_qos_and_held_until_its_sender_releases_it(bench, topic, qos):
     bench.push()
-    press = bench.graph.emergency_stop()
-    press(True)
+    button = bench.graph.publisher(Bool, topic, qos)
+    other = bench.graph.publisher(Bool, topic, qos)
+    button.publish(Bool(data=True))
     bench.graph.until(lambda: bench.hand.hold(PUSH, 1) or bench.hand.commands[-1] < PUSH, "the force to fall")
     bench.expect_smooth_end(len(bench.hand.responses) - 1)
+    other.publish(Bool(data=False))
+    bench.hand.hold(0.0, 50)
+    pressed = bench.hand.responses[-1]
+    assert pressed.state == Response.PROTECTIVE_STOP
+    assert pressed.flags & Response.STOP_PRESSED
+    assert pressed.cause == f"protective stop: pressed by {bench.graph.namespace}/test"
     answer = bench.graph.clear_fault("plant")
-    assert (answer.success, answer.message) == (False, "emergency stop is still pressed")
-    press(False)
-    bench.expect_latched_until_cleared("emergency stop")
+    assert not answer.success
+    assert answer.message.startswith("a stop is still pressed")
+    button.publish(Bool(data=False))
+    bench.graph.until(lambda: bench.hand.hold(PUSH, 1) or bench.hand.states[-1] == Response.LATCHED, "its release")
+    bench.expect_latched_until_cleared("protective stop: pressed by")
+    for publisher in (button, other):
+        bench.graph.node.destroy_publisher(publisher)
+
+
+def test_a_stop_whose_sender_has_left_counts_until_a_person_clears_it(bench):
+    bench.hand.hold(0.0, 2)
+    button = bench.graph.publisher(Bool, "emergency_stop")
+    button.publish(Bool(data=True))
+    bench.graph.until(lambda: bench.hand.hold(0.0, 1) or bench.hand.states[-1] == Response.PROTECTIVE_STOP, "the stop")
+    bench.graph.node.destroy_publisher(button)
+    bench.hand.hold(0.0, 100)
+    assert bench.hand.states[-1] == Response.PROTECTIVE_STOP
+    bench.graph.until(lambda: bench.graph.clear_fault("plant").success, "it to be cleared")
 
 
 def test_a_command_above_the_capacity_is_cut_to_it(bench):

@@ -258,7 +258,7 @@ class Answers:
         while self.missing is None and not playback.ended:
             message = playback.step()
             if message.topic == self._topic:
-                self.missing = self._responses.unpack(message.payload)[1]
+                self.missing = self._responses.unpack(message.payload)[1].sequence
             yield message
 
     def receive(self, payload: bytes) -> bool:
@@ -269,7 +269,7 @@ class Answers:
         AbraceError
             If it can't be read.
         """
-        sequence, _ = self._commands.unpack(payload)
+        _, sequence, _, _ = self._commands.unpack(payload)
         if sequence != self.missing:
             return False
         self.missing = None

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _HEADER = struct.Struct("<4siII")
+SATURATED, RATE_LIMITED, TABLE_LIMITED, STOP_PRESSED, LATE, LOCKSTEP, LAST = (1 << bit for bit in range(7))
+"""Flags of Response.msg."""
 _BODY = 4
 """Offset from which alignment counts."""
 
@@ -57,11 +59,11 @@ def _pack_header(stamp: int, frame_id: str) -> bytes:
 
 
 class _Arrays:
-    """Layout of a sequence number, arrays of doubles of known lengths, and single doubles."""
+    """Layout of whole numbers, arrays of doubles of known lengths, and single doubles."""
 
-    def __init__(self, offset: int, lengths: Sequence[int], singles: int) -> None:
-        form, position, self.starts = "<Q", offset + 8, []
-        values = 1
+    def __init__(self, offset: int, numbers: struct.Struct, lengths: Sequence[int], singles: int) -> None:
+        form, position, self.starts = numbers.format, offset + numbers.size, []
+        values = len(numbers.unpack(bytes(numbers.size)))
         for length in lengths:
             form, position = form + "I", position + 4
             padding = (_aligned(position, 8) - position) if length else 0
@@ -74,25 +76,59 @@ class _Arrays:
         self.struct = struct.Struct(form)
         self.offset = offset
 
-    def pack(self, sequence: int, arrays: Sequence[Sequence[float]], singles: Sequence[float]) -> bytes:
-        """`sequence`, `arrays` and `singles` in this layout."""
+    def pack(
+        self, numbers: Sequence[int], arrays: Sequence[Sequence[float]], singles: Sequence[float], text: bytes
+    ) -> bytes:
+        """`numbers`, `arrays` and `singles` in this layout, and a `text` after them."""
         values: list[float] = []
         for array in arrays:
             values.append(len(array))
             values.extend(array)
-        return self.struct.pack(sequence, *values, *singles)
+        return self.struct.pack(*numbers, *values, *singles) + text
+
+
+def _pack_text(text: str, position: int) -> bytes:
+    """A string that comes after `position`."""
+    data = text.encode() + b"\0"
+    return bytes(_aligned(position, 4) - position) + struct.pack("<I", len(data)) + data
+
+
+def _unpack_text(payload: bytes, position: int, name: str) -> str:
+    """The string after `position`; raises an AbraceError if there is none."""
+    begin = _aligned(position, 4) + 4
+    length = int.from_bytes(payload[begin - 4 : begin], "little")
+    if not length:
+        if len(payload) < begin:
+            raise AbraceError(f"{name}: cut off")
+        return ""
+    if length > len(payload) - begin:
+        raise AbraceError(f"{name}: cut off")
+    return payload[begin : begin + length - 1].decode(errors="replace")
+
+
+class Head(NamedTuple):
+    """What a Response says of the rig beside what was measured, with the names and meanings of Response.msg."""
+
+    run: int
+    sequence: int
+    clipped: int
+    flags: int
+    state: int
 
 
 class Responses:
     """Packs and unpacks Response messages; a reader learns the rig's size from the first one."""
 
+    _NUMBERS = struct.Struct("<QQQIB3x")
     _arrays: _Arrays | None = None
+    _text = "", b""
     floors = groups = 0
 
     def pack(
         self,
         stamp: int,
-        sequence: int,
+        head: Head,
+        cause: str,
         displacement: Sequence[float],
         acceleration: Sequence[float],
         stroke: Sequence[float],
@@ -102,17 +138,18 @@ class Responses:
     ) -> bytes:
         """The message with the fields of Response, SI units; `stamp` [ns].
 
-        `sequence`, `displacement`, `acceleration`, `stroke`, `force`, `command` and `ground_acceleration` are as in
-        Response.msg; their lengths stay those of the first call.
+        What follows `head` is as in Response.msg; the arrays' lengths stay those of the first call.
         """
         arrays = (displacement, acceleration, stroke, force, command)
         header = _pack_header(stamp, "table")
         if self._arrays is None:
-            self._arrays = _Arrays(len(header), [len(array) for array in arrays], 1)
-        return header + self._arrays.pack(sequence, arrays, (ground_acceleration,))
+            self._arrays = _Arrays(len(header), self._NUMBERS, [len(array) for array in arrays], 1)
+        if cause != self._text[0] or not self._text[1]:
+            self._text = cause, _pack_text(cause, self._arrays.offset + self._arrays.struct.size)
+        return header + self._arrays.pack(head, arrays, (ground_acceleration,), self._text[1])
 
-    def unpack(self, payload: bytes) -> tuple[int, int, tuple[float, ...]]:
-        """Stamp [ns], sequence, and z = [displacement, stroke, acceleration, force] of a `payload`.
+    def unpack(self, payload: bytes) -> tuple[int, Head, tuple[float, ...]]:
+        """Stamp [ns], head, and z = [displacement, stroke, acceleration, force] of a `payload`.
 
         Raises
         ------
@@ -135,10 +172,21 @@ class Responses:
             + values[a + 1 : a + 1 + n]
             + values[f + 1 : f + 1 + m]
         )
-        return stamp, values[0], z
+        return stamp, Head(*values[:5]), z
+
+    def cause(self, payload: bytes) -> str:
+        """The cause of a fault in a `payload` that has just been unpacked; empty: there is none.
+
+        Raises
+        ------
+        AbraceError
+            If the payload is cut off.
+        """
+        assert self._arrays is not None
+        return _unpack_text(payload, self._arrays.offset + self._arrays.struct.size, "Response")
 
     def _learn(self, payload: bytes, offset: int) -> _Arrays:
-        position, lengths = offset + 8, []
+        position, lengths = offset + self._NUMBERS.size, []
         for _ in range(5):
             position = _aligned(position, 4)
             if position + 4 > len(payload):
@@ -154,24 +202,29 @@ class Responses:
         if floors != accelerations or not groups == forces == commands:
             raise AbraceError(f"Response: arrays of {lengths}, expected floors, floors, and three times brace groups")
         self.floors, self.groups = floors, groups
-        self._arrays = _Arrays(offset, lengths, 1)
+        self._arrays = _Arrays(offset, self._NUMBERS, lengths, 1)
         return self._arrays
 
 
 class BraceCommands:
     """Packs and unpacks BraceCommand messages."""
 
+    _NUMBERS = struct.Struct("<QQ")
     _arrays: _Arrays | None = None
+    _text = "", b""
 
-    def pack(self, stamp: int, sequence: int, force: Sequence[float]) -> bytes:
-        """The message with `stamp` [ns] and `sequence` of the Response that it answers, and `force` [N]."""
+    def pack(self, stamp: int, run: int, sequence: int, force: Sequence[float], fault: str = "") -> bytes:
+        """The message with `stamp` [ns], `run` and `sequence` of the Response that it answers, `force` [N], `fault`."""
         header = _pack_header(stamp, "")
         if self._arrays is None or self._arrays.lengths != (len(force),):
-            self._arrays = _Arrays(len(header), [len(force)], 0)
-        return header + self._arrays.pack(sequence, (force,), ())
+            self._arrays = _Arrays(len(header), self._NUMBERS, [len(force)], 0)
+            self._text = "", b""
+        if fault != self._text[0] or not self._text[1]:
+            self._text = fault, _pack_text(fault, self._arrays.offset + self._arrays.struct.size)
+        return header + self._arrays.pack((run, sequence), (force,), (), self._text[1])
 
-    def unpack(self, payload: bytes) -> tuple[int, tuple[float, ...]]:
-        """Sequence and force [N] of a `payload`.
+    def unpack(self, payload: bytes) -> tuple[int, int, tuple[float, ...], str]:
+        """Run, sequence, force [N] and fault of a `payload`.
 
         Raises
         ------
@@ -179,13 +232,14 @@ class BraceCommands:
             If it is no BraceCommand.
         """
         _, offset = read_header(payload)
-        if len(payload) < offset + 12:
+        if len(payload) < offset + 20:
             raise AbraceError("BraceCommand: cut off")
-        sequence, length = struct.unpack_from("<QI", payload, offset)
-        start = offset + 16
-        if length and len(payload) < start + 8 * length:
+        run, sequence, length = struct.unpack_from("<QQI", payload, offset)
+        start = offset + 24 if length else offset + 20
+        if len(payload) < start + 8 * length:
             raise AbraceError("BraceCommand: cut off")
-        return sequence, struct.unpack_from(f"<{length}d", payload, start) if length else ()
+        force = struct.unpack_from(f"<{length}d", payload, start)
+        return run, sequence, force, _unpack_text(payload, start + 8 * length, "BraceCommand")
 
 
 _ACCELERATION = struct.Struct("<6d")

@@ -11,7 +11,7 @@ import time
 from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceNode, Parameter, run
-from abrace_core.node.brace_commander import RAMP_TIME
+from abrace_core.safety.rig_safety import RAMP_TIME
 
 STUCK = 30.0
 """Seconds in which a signal does not go on that end a test."""

@@ -53,9 +53,13 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         AbraceNode.__init__(self, name, [*table, AUTOSTART], context)
         LifecycleNodeMixin.__init__(self)
         self._rest = threading.Condition(self.lock)
-        self._permanent = {*self.publishers, *self.subscriptions, *self.services}
+        self.keep_endpoints()
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
+
+    def keep_endpoints(self) -> None:
+        """Let the publishers, subscriptions and services that there are now outlive every clean-up."""
+        self._permanent = {*self.publishers, *self.subscriptions, *self.services}
 
     @contextlib.contextmanager
     def spun(self) -> Iterator[Executor]:
@@ -92,8 +96,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
     def turn(self) -> None:
         """Call `tick` with the lock, if it is still due."""
         super().turn()
-        if self._awaiting_rest:
-            self._tell_rest()
+        self.tell_rest()
 
     def _in_loop(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         lock = self.lock
@@ -102,13 +105,14 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
             with lock:
                 callback(message)
             if self._awaiting_rest:
-                self._tell_rest()
+                self.tell_rest()
 
         return call
 
-    def _tell_rest(self) -> None:
+    def tell_rest(self) -> None:
+        """Have those go on who wait until the node is at rest, if it is; from any thread."""
         with self.lock:
-            if self.at_rest:
+            if self._awaiting_rest and self.at_rest:
                 self._awaiting_rest = False
                 self._rest.notify_all()
                 self.rouse()

@@ -1,7 +1,7 @@
-"""The checks that every force command passes before it acts: finite, within capacity and rate limit, no fault.
+"""The limits that every force command passes before it acts: finite, within capacity and rate limit.
 
-A command within the limits passes bit for bit, as identification needs it. The first fault is latched: the force goes
-along a half cosine to zero within the ramp time, whatever is commanded, and stays zero until the guard is cleared.
+A command within the limits passes bit for bit, as identification needs it. On the way to rest the force goes along a
+half cosine to zero within the ramp time.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from abrace_core.errors import AbraceError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
 
 class CommandGuard:
@@ -29,12 +29,16 @@ class CommandGuard:
     rate_limit
         (groups,) greatest rate of the force of one brace of each group [N/s].
     sample_period
-        Between two calls of `check` [s].
+        Between two calls of `follow` or `come_to_rest` [s].
     ramp_time
-        From a fault to zero force [s]; long enough to get there from capacity within the rate limit.
+        To zero force [s]; long enough to get there from capacity within the rate limit.
 
     Attributes
     ----------
+    value
+        (groups,) [N], the force that acts; zero before the first.
+    saturated, rate_limited
+        Whether the last command was limited to capacity, and held back by the rate limit.
     saturations
         Commands so far that were limited to capacity.
     rate_limits
@@ -59,7 +63,6 @@ class CommandGuard:
                 raise AbraceError(f"command guard: {name} {values.tolist()}, expected more than 0")
         self._capacity: list[float] = limits[0].tolist()
         self._step: list[float] = (limits[1] * sample_period).tolist()
-        self._shape = (len(self._capacity),)
         steps = int(ramp_time / sample_period * (1 + 1e-12))
         # the steepest step of the half cosine of `steps` steps is sin(pi / (2 steps)) of the force that it starts from
         steepest = math.sin(math.pi / (2 * steps)) if steps else 1.0
@@ -71,98 +74,62 @@ class CommandGuard:
                     f"to zero at {step / sample_period:g} N/s"
                 )
         self._ramp = [(1 + math.cos(math.pi * j / steps)) / 2 for j in range(1, steps)]
-        self._ramp_steps = 0
-        self._ramp_start: list[float] = []
-        self._fault_reason: str | None = None
-        self._command = [0.0] * len(self._capacity)
-        self._force = [0.0] * len(self._capacity)
         self.saturations = 0
         self.rate_limits = 0
+        self.reset()
 
-    @property
-    def fault_reason(self) -> str | None:
-        """Reason of the first fault since the start or the last `clear`; None: no fault."""
-        return self._fault_reason
-
-    @property
-    def force(self) -> NDArray[np.float64]:
-        """(groups,) [N], result of the last `check`; zero before the first."""
-        return np.array(self._force)
-
-    def reset_force(self) -> None:
-        """Set force and command to zero, because the rig has restarted with its braces at rest."""
-        self._force = self._ramp_start = self._command = [0.0] * len(self._capacity)
-
-    def fault(self, reason: str) -> None:
-        """Latch a fault: from the next `check` on, the force goes to zero. Only the first reason is kept."""
-        if self._fault_reason is None:
-            self._fault_reason = reason
-            self._ramp_start = self._force
-            self._ramp_steps = 0
-
-    def clear(self) -> None:
-        """Clear the fault. The force starts from where the ramp has brought it, in the end zero, with zero command."""
-        self._fault_reason = None
+    def reset(self) -> None:
+        """Force and command are zero."""
         self._command = [0.0] * len(self._capacity)
+        self.value = self._command.copy()
+        self._ramp_start = self.value
+        self._ramp_steps = 0
+        self.saturated = self.rate_limited = False
 
-    def check(self, force: NDArray[np.float64] | Sequence[float] | None) -> NDArray[np.float64]:
-        """The force that acts from this sample on; called once a sample.
-
-        Parameters
-        ----------
-        force
-            (groups,) the new command [N]; None: the last one is held. A command of another length, or with a value that
-            is not finite, is a fault.
-
-        Returns
-        -------
-        NDArray
-            (groups,) [N], a new array: the command itself within the limits.
-        """
-        if force is not None and self._fault_reason is None:
-            self._accept(force)
-        self._force = self._follow() if self._fault_reason is None else self._ramp_down()
-        return np.array(self._force)
-
-    def _accept(self, force: NDArray[np.float64] | Sequence[float]) -> None:
-        """Limit a new command to capacity and make it the present one, or latch a fault."""
+    def problem(self, command: Sequence[float]) -> str | None:
+        """Why a command (groups,) [N] cannot act, because of its length or values that are not finite; None: it can."""
         try:
-            given = np.asarray(force, dtype=np.float64)
+            if len(command) == len(self._capacity) and all(map(math.isfinite, command)):
+                return None
+            given = np.asarray(command, dtype=np.float64)
         except (TypeError, ValueError):
-            self.fault(f"command {force!r}, expected numbers")
-            return
-        if given.shape != self._shape:
-            self.fault(f"command of shape {given.shape}, expected {self._shape}")
-            return
-        command: list[float] = given.tolist()
-        saturated = False
-        for i, value in enumerate(command):
-            if not math.isfinite(value):
-                self.fault(f"command {command}, expected finite numbers")
-                return
-            most = self._capacity[i]
-            if value > most or value < -most:
-                command[i] = math.copysign(most, value)
-                saturated = True
-        self.saturations += saturated
-        self._command = command
+            return f"command {command!r}, expected {len(self._capacity)} numbers"
+        if given.shape != (len(self._capacity),):
+            return f"command of shape {given.shape}, expected {(len(self._capacity),)}"
+        return f"command {given.tolist()}, expected finite numbers"
 
-    def _follow(self) -> list[float]:
-        """The command, limited to the rate limit's step from the last force."""
-        force = self._command.copy()
-        limited = False
-        for i, last in enumerate(self._force):
-            change, step = force[i] - last, self._step[i]
+    def follow(self, command: Sequence[float] | None, share: float = 1.0) -> None:
+        """Take over a `share` of a `command` (groups,) [N] that has no problem; None: of the last one."""
+        if command is not None:
+            self._command = list(map(float, command))
+        force, saturated, limited = self._command.copy(), False, False
+        for i, last in enumerate(self.value):
+            wanted, most, step = force[i] * share, self._capacity[i], self._step[i]
+            if wanted > most or wanted < -most:
+                wanted, saturated = math.copysign(most, wanted), True
+            change = wanted - last
             if change > step or change < -step:
-                force[i] = last + math.copysign(step, change)
-                limited = True
+                wanted, limited = last + math.copysign(step, change), True
+            force[i] = wanted
+        self.value = force
+        self.saturated, self.rate_limited = saturated, limited
+        self.saturations += saturated and command is not None
         self.rate_limits += limited
-        return force
 
-    def _ramp_down(self) -> list[float]:
-        """The force at the ramp's next step; zero after its end."""
-        if self._ramp_steps == len(self._ramp):
-            return [0.0] * len(self._capacity)
-        share = self._ramp[self._ramp_steps]
-        self._ramp_steps += 1
-        return [share * force for force in self._ramp_start]
+    def begin_to_rest(self) -> None:
+        """Begin the ramp to zero at the present force."""
+        self._command = [0.0] * len(self._capacity)
+        self._ramp_start, self._ramp_steps = self.value, 0
+        self.saturated = self.rate_limited = False
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the force is zero."""
+        return not any(self.value)
+
+    def come_to_rest(self, samples: int = 1) -> None:
+        """Go so many `samples` further along the ramp."""
+        self._ramp_steps += samples
+        over = self._ramp_steps > len(self._ramp)
+        share = 0.0 if over else self._ramp[self._ramp_steps - 1]
+        self.value = [share * force for force in self._ramp_start]

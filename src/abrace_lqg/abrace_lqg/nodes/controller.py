@@ -90,9 +90,11 @@ class Controller(BraceCommander):
     def restart(self, sequence: int, floors: int, groups: int) -> None:
         """Reset the estimate; the force fades in from this sample on."""
         try:
-            self.active_controller.reset(response_names(floors, groups), command_names(groups), self.guard.force)
+            self.active_controller.reset(
+                response_names(floors, groups), command_names(groups), np.array(self.guard.value)
+            )
         except AbraceError as error:
-            self.guard.fault(str(error))
+            self.safety.fault(str(error))
 
     def force(self, sequence: int, z: tuple[float, ...], lost: int) -> np.ndarray:
         """The law's command, faded where it comes in."""

@@ -1,178 +1,263 @@
-"""The rig sample by sample: inputs checked, motion stepped, sensors read. What the `plant` node runs, without ROS.
+"""The rig in operation, sample by sample and without ROS: inputs checked, the device asked, faults found.
 
 Sample k uses the answers to sample k-1: the command acts from t_k on, and the ground has the commanded acceleration at
-t_k. Then the sensors are read. A command that is missing while the force is not zero, two commands for one sample, a
-value that is not finite and an emergency stop are faults: the guard ramps the force to zero and holds it there until a
-person clears the fault.
+t_k. A command that is missing while the force is not zero, two commands for one sample, a value that is not finite, a
+sender's own fault, samples that are late or missed and a device that fails are faults, and a tripped interlock: table
+and braces come to rest together.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
-from abrace_core import signals
 from abrace_core.safety.command_guard import CommandGuard
-from abrace_plant.rig.motion import RigMotion
-from abrace_plant.rig.sensors import Measurement, parse_fault
+from abrace_core.safety.rig_safety import RAMP_TIME, RigSafety
+from abrace_core.safety.table_guard import TableGuard
+from abrace_core.wire import LAST, LATE, LOCKSTEP, RATE_LIMITED, SATURATED, STOP_PRESSED, TABLE_LIMITED, Head
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from abrace_core.safety.rig_safety import Output
+    from abrace_plant.devices.device import Device, Reading
     from abrace_plant.rig.model import Rig
-    from abrace_plant.rig.sensors import SensorFault
-
-RAMP_TIME = 0.5
-"""Seconds within which a fault brings force and ground motion to zero."""
 
 COMMAND, GROUND = "brace_command", "ground_motion"
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """The content of one Response.
 
     Parameters
     ----------
-    sequence
-        Sample number.
+    stamp
+        Sampling instant [ns].
+    head
+        What it says of the rig.
+    cause
+        Of the fault or stop; empty: none.
     reading
         (channels,) [displacements, strokes, accelerations, forces, ground acceleration], as measured.
     command
         (groups,) [N], in effect until this sample.
     """
 
-    sequence: int
-    reading: NDArray[np.float64]
-    command: NDArray[np.float64]
+    stamp: int
+    head: Head
+    cause: str
+    reading: list[float]
+    command: list[float]
 
 
 class _Input:
-    """A guarded input: its present value and the sample that it answers."""
+    """What comes on one input: which samples have been answered, and the answer that has not acted yet."""
 
-    def __init__(self, name: str, guard: CommandGuard, timeout_samples: int) -> None:
+    def __init__(self, name: str, timeout: int) -> None:
         self.name = name
-        self.guard = guard
-        self._timeout = timeout_samples
-        self._pending: Sequence[float] | None = None
-        self.value = guard.check(None)
+        self.timeout = timeout
+        self.pending: Sequence[float] | None = None
+        self.last: Sequence[float] = ()
+        self.fault = ""
         self.answered = -1
         self.late = 0
 
-    def receive(self, sequence: int, value: Sequence[float], now: int) -> None:
-        """Accept an answer to sample `sequence` after sample `now`; one later than the timeout does not act."""
-        if sequence > now or sequence < max(self.answered, now - self._timeout):
+    def receive(self, sequence: int, value: Sequence[float], now: int) -> str:
+        """Accept an answer to sample `sequence` after sample `now`; returns why it is a fault, or nothing.
+
+        One that is later than the time-out does not act.
+        """
+        if sequence > now or sequence < max(self.answered, now - self.timeout):
             self.late += 1
-            return
+            return ""
         if sequence == self.answered:
-            self.guard.fault(f"two messages on {self.name} answer sample {sequence}; one sender was expected")
-            return
+            return f"two messages on {self.name} answer sample {sequence}; one sender was expected"
         if sequence < now:
             self.late += 1
         self.answered = sequence
-        self._pending = value
+        self.pending = self.last = value
+        return ""
 
-    def advance(self, last: int) -> NDArray[np.float64]:
-        """The value from the sample after `last` on."""
-        if last - self.answered > self._timeout and self.value.any():
-            self.guard.fault(f"no {self.name} for {last - self.answered} samples")
-        self.value = self.guard.check(self._pending)
-        self._pending = None
-        return self.value
+    def take(self) -> Sequence[float] | None:
+        """The answer that has not acted yet."""
+        pending, self.pending = self.pending, None
+        return pending
+
+    def silent(self, now: int) -> bool:
+        """Whether the last answer is older than the time-out."""
+        return now - self.answered > self.timeout
+
+    def moving(self, now: int) -> str:
+        """Why the input is not at rest; empty: it is."""
+        if self.silent(now):
+            return ""
+        if self.fault:
+            return f"{self.name}: its sender reports a fault: {self.fault}"
+        if any(self.last):
+            return f"{self.name} still asks for {', '.join(f'{value:g}' for value in self.last)}"
+        return ""
+
+
+def rig_outputs(rig: Rig) -> list[Output]:
+    """What acts on a rig: the forces of its braces, and its table."""
+    period = 1 / rig.sample_rate
+    return [CommandGuard(rig.capacity, rig.rate_limit, period, RAMP_TIME), TableGuard(rig.table, period)]
 
 
 class RigLoop:
-    """A simulated rig with its inputs, sensors and guards.
+    """One run of a rig.
 
     Parameters
     ----------
     rig
         The rig.
-    seed
-        Of the sensor noise.
+    device
+        Its hardware.
+    safety
+        Of the rig, with its outputs.
     command_timeout
         Seconds without a command or ground acceleration, while it is not zero, that are no fault yet.
+    late_limit
+        Samples in a row that may be late or missed.
+    run
+        Number of the run.
+    lockstep
+        Whether samples are taken as soon as all have answered.
+
+    Attributes
+    ----------
+    sequence
+        Number of the last sample; -1: none yet.
+    late, missed
+        Samples so far that were taken late, and that were missed.
+    ending
+        Whether the run ends, with the first sample at which all is at rest; set by whoever ends it.
+    ended
+        Whether that sample has been taken.
     """
 
-    def __init__(self, rig: Rig, seed: int, command_timeout: float) -> None:
-        period = 1 / rig.sample_rate
+    def __init__(
+        self,
+        rig: Rig,
+        device: Device,
+        safety: RigSafety,
+        command_timeout: float,
+        late_limit: int,
+        run: int,
+        lockstep: bool,
+    ) -> None:
         timeout = max(1, round(command_timeout * rig.sample_rate))
-        limits = [rig.table.peak_acceleration], [rig.table.peak_jerk]
-        self._motion = RigMotion(rig)
-        self._channels = (*signals.response_names(rig.floors, rig.groups), signals.GROUND)
-        self._period = period
-        self._measurement = Measurement(rig.sensors.channels(rig.floors, rig.groups), seed, period)
-        self._command = _Input(COMMAND, CommandGuard(rig.capacity, rig.rate_limit, period, RAMP_TIME), timeout)
-        self._ground = _Input(GROUND, CommandGuard(*limits, period, RAMP_TIME), timeout)
-        self._true = np.zeros(2 * rig.floors + 2 * rig.groups + 1)
+        self._device, self._safety = device, safety
+        braces, table = safety.outputs
+        assert isinstance(braces, CommandGuard)
+        assert isinstance(table, TableGuard)
+        self._braces, self._table = braces, table
+        self._inputs = {COMMAND: _Input(COMMAND, timeout), GROUND: _Input(GROUND, timeout)}
+        self._stamps: deque[tuple[int, int]] = deque(maxlen=timeout + 1)
+        self._late_limit = late_limit
+        self._late_in_a_row = 0
+        self._until_now = self._braces.value
+        self._flags = LOCKSTEP if lockstep else 0
+        self.run = run
         self.sequence = -1
+        self.late = self.missed = self.old = 0
+        self.ending = self.ended = False
 
-    def receive_command(self, sequence: int, force: Sequence[float]) -> None:
-        """Accept a BraceCommand: `force` (groups,) [N] answers sample `sequence`."""
-        self._command.receive(sequence, force, self.sequence)
+    def receive_command(self, run: int, sequence: int, force: Sequence[float], fault: str) -> None:
+        """Accept a BraceCommand: `force` (groups,) [N] answers a sample, and `fault` is its sender's."""
+        if run != self.run:
+            self.old += 1
+            return
+        given = self._inputs[COMMAND]
+        if problem := given.receive(sequence, force, self.sequence):
+            self._safety.fault(problem)
+        given.fault = fault
+        if fault and self._safety.acting:
+            self._safety.fault(f"{COMMAND}: its sender reports: {fault}")
 
-    def receive_ground_acceleration(self, sequence: int, acceleration: float) -> None:
-        """Accept a ground `acceleration` [m/s^2] for the sample after `sequence`."""
-        self._ground.receive(sequence, [acceleration], self.sequence)
-
-    def sensor_faults(self, texts: Sequence[str]) -> tuple[SensorFault, ...]:
-        """Sensor faults for `set_sensor_faults`; their times count from sample 0.
-
-        Parameters
-        ----------
-        texts
-            Each as for `parse_fault`, such as `["a2=stuck", "x3=noise@20.0"]`.
-
-        Raises
-        ------
-        AbraceError
-            As in `parse_fault`.
-        """
-        return tuple(parse_fault(text, self._channels, self._period) for text in texts)
-
-    def set_sensor_faults(self, faults: tuple[SensorFault, ...]) -> None:
-        """Replace the sensor faults; none: every channel is well."""
-        self._measurement.faults = faults
+    def receive_ground_acceleration(self, stamp: int, acceleration: float) -> None:
+        """Accept a ground `acceleration` [m/s^2] in answer to the sample with this stamp [ns]."""
+        sequence = next((number for known, number in self._stamps if known == stamp), -1)
+        if sequence < 0:
+            self.old += 1
+        elif problem := self._inputs[GROUND].receive(sequence, [acceleration], self.sequence):
+            self._safety.fault(problem)
 
     def answered(self, name: str) -> bool:
         """Whether the last sample has been answered on the topic `name`: `brace_command` or `ground_motion`."""
-        return (self._command if name == COMMAND else self._ground).answered == self.sequence
+        return self._inputs[name].answered == self.sequence
 
-    def fault(self, reason: str) -> None:
-        """Latch a fault with its `reason`: force and ground motion ramp to zero."""
-        self._command.guard.fault(reason)
-        self._ground.guard.fault(reason)
+    def all_answered(self) -> bool:
+        """Whether everyone who answers has answered the last sample."""
+        now = self.sequence
+        return all(one.answered == now for one in self._inputs.values() if not one.silent(now))
 
-    def clear_faults(self) -> None:
-        """Clear the latched fault."""
-        self._command.guard.clear()
-        self._ground.guard.clear()
+    def moving(self) -> str:
+        """Which input is not at rest, and why; empty: all are."""
+        return "; ".join(filter(None, (one.moving(self.sequence) for one in self._inputs.values())))
 
-    @property
-    def fault_reason(self) -> str | None:
-        """The latched fault, if any."""
-        return self._command.guard.fault_reason or self._ground.guard.fault_reason
+    def act(self, samples: int = 1) -> tuple[list[float], float]:
+        """Force (groups,) [N] and table acceleration [m/s^2] that act from the next sample on.
 
-    def sample(self) -> Sample:
-        """Apply the inputs, step to the next sample and read the sensors."""
-        until_now = self._command.value
-        command = self._command.advance(self.sequence)
-        ground = float(self._ground.advance(self.sequence)[0])
-        self._true[:-1] = self._motion.outputs(ground, command)
-        self._true[-1] = ground
-        self.sequence += 1
-        return Sample(self.sequence, self._measurement.read(self._true), until_now)
+        `samples`: sample periods since the last call.
+        """
+        self._until_now = self._braces.value
+        if self._safety.acting:
+            for given, output in zip(self._inputs.values(), self._safety.outputs, strict=True):
+                if any(output.value) and given.silent(self.sequence):
+                    self._safety.fault(f"no {given.name} for {self.sequence - given.answered} samples")
+        self._safety.act([given.take() for given in self._inputs.values()], samples)
+        return self._braces.value, self._table.value[0]
+
+    def take(self, reading: Reading) -> Sample:
+        """The sample that the device has given."""
+        self.sequence += 1 + reading.missed
+        self._stamps.append((reading.stamp, self.sequence))
+        self.missed += reading.missed
+        self.late += reading.late
+        self._late_in_a_row = self._late_in_a_row + 1 if reading.late else 0
+        if reading.missed > self._late_limit:
+            self._safety.fault(f"the rig was held up: {reading.missed} samples missed before sample {self.sequence}")
+        elif self._late_in_a_row > self._late_limit:
+            self._safety.fault(f"{self._late_in_a_row} samples in a row were taken late, up to sample {self.sequence}")
+        return self._sample(reading)
+
+    def _sample(self, reading: Reading) -> Sample:
+        safety, flags = self._safety, self._flags
+        if self._braces.saturated:
+            flags |= SATURATED
+        if self._braces.rate_limited:
+            flags |= RATE_LIMITED
+        if self._table.limited:
+            flags |= TABLE_LIMITED
+        if safety.pressed:
+            flags |= STOP_PRESSED
+        if reading.late:
+            flags |= LATE
+        if self.ending and safety.at_rest:
+            flags |= LAST
+            self.ended = True
+        head = Head(self.run, self.sequence, reading.clipped, flags, safety.state)
+        return Sample(reading.stamp, head, safety.cause, reading.values.tolist(), self._until_now)
+
+    def step(self) -> Sample:
+        """Take the next sample at once."""
+        return self.take(self._device.exchange(*self.act()))
+
+    def fail(self, problem: str) -> None:
+        """The device has given no sample."""
+        self._safety.fault(problem)
+        self.ended = self.ending and self._safety.at_rest
 
     def counters(self) -> dict[str, int]:
-        """Counts of limited and of late inputs so far."""
-        guard = self._command.guard
+        """Counts of limited, late and missed samples and inputs so far."""
         return {
-            "saturations": guard.saturations,
-            "rate_limits": guard.rate_limits,
-            "late_commands": self._command.late,
-            "late_ground_motion": self._ground.late,
+            "saturations": self._braces.saturations,
+            "rate_limits": self._braces.rate_limits,
+            "table_limits": self._table.limits,
+            "late": self.late,
+            "missed": self.missed,
+            "late_commands": self._inputs[COMMAND].late,
+            "late_ground_motion": self._inputs[GROUND].late,
+            "answers_to_unknown_samples": self.old,
         }

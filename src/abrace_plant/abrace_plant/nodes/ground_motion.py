@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import AccelStamped
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from std_msgs.msg import Bool
 
 from abrace_core.errors import AbraceError
-from abrace_core.multisine import LINES, repeated_multisine
-from abrace_core.node import KEPT_STREAM_QOS, TRANSIENT_LOCAL_QOS, AbraceLifecycleNode, Parameter, run
-from abrace_core.noise import banded_noise
-from abrace_core.safety.sample_watch import SampleWatch
-from abrace_core.wire import Responses, pack_acceleration
+from abrace_core.node import KEPT_STREAM_QOS, Parameter, run
+from abrace_core.node.commander import Commander
+from abrace_core.safety.answering import RESTART
+from abrace_core.safety.table_stop import LONGEST
+from abrace_core.wire import Head, pack_acceleration
 from abrace_interfaces.action import PlayGroundMotion
-from abrace_interfaces.msg import Response
 from abrace_plant.live.playback import Playback
-from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS, read_as_given, treatment_as_given
-from abrace_plant.records.treatment import prepare
+from abrace_plant.nodes.record_parameters import MOTION_PARAMETERS, motion_as_given, table_as_given
 
-WHITE_NOISE, MULTISINE = "white_noise", "multisine"
 FEEDBACK_EVERY = 50
 """Samples between feedback messages: ten a second at 500 Hz."""
 
@@ -32,13 +28,7 @@ PARAMETERS = [
     Parameter(
         "record", "", "played at once: a known name, white_noise, multisine, or a file; empty: wait for the action"
     ),
-    *RECORD_PARAMETERS,
-    Parameter("rms", 0.25, "m/s^2, of white noise or a multisine of the given duration", minimum=0.0),
-    Parameter("band", [0.0, 10.0], "Hz, of white noise or a multisine", minimum=0.0),
-    Parameter("seed", 1, "of white noise or a multisine", minimum=0),
-    Parameter("period", 32.768, "s, of a multisine; whole periods that fit in duration are played", minimum=0.01),
-    Parameter("lines", "odd", "frequency lines of a multisine; orthogonal to a command on other lines", choices=LINES),
-    Parameter("slope", 0.0, "of a multisine: power of the frequency with which amplitudes grow"),
+    *MOTION_PARAMETERS,
 ]
 
 
@@ -55,26 +45,24 @@ class PlayServer(ActionServer):
             super().notify_execute(goal_handle, execute_callback)
 
 
-class GroundMotion(AbraceLifecycleNode):
+class GroundMotion(Commander):
     """Answers each sample with the ground acceleration of the next."""
 
-    remedy = "the table comes to rest; release the button to play again"
+    ramp_time = LONGEST
 
     def __init__(self) -> None:
         super().__init__("ground_motion", PARAMETERS)
         self.playback: Playback | None = None
         self.goal: ServerGoalHandle | None = None
-        self.stopped = False
 
     def configure(self) -> None:
         """Load the record that is played at once, create the topics and the action."""
         given = self.parameters
-        self.watch = SampleWatch(1 / given.sample_rate)
+        self.table = table_as_given(given)
         self.first_motion = self.motion(given.record, given.peak_acceleration, given.duration) if given.record else None
-        self.responses = Responses()
+        self.cancelled = ""
+        self.answering.configure([], 1 / given.sample_rate)
         self.publisher = self.publish_on(AccelStamped, "ground_motion", KEPT_STREAM_QOS)
-        self.subscribe_to(Response, "response", self.on_response, KEPT_STREAM_QOS, raw=True)
-        self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, TRANSIENT_LOCAL_QOS)
         self.server = PlayServer(
             self,
             PlayGroundMotion,
@@ -84,73 +72,71 @@ class GroundMotion(AbraceLifecycleNode):
             handle_accepted_callback=self.on_accepted,
             cancel_callback=self.on_cancel,
         )
+        self.listen()
 
     def motion(self, record: str, peak_acceleration: float, duration: float) -> np.ndarray:
-        """The ground motion (samples,) [m/s^2] at the rig's sample rate."""
-        given = self.parameters
-        if record not in (WHITE_NOISE, MULTISINE):
-            treatment = replace(treatment_as_given(given), peak_acceleration=peak_acceleration, duration=duration)
-            return prepare(read_as_given(record, given), given.sample_rate, treatment)
-        if duration == 0:
-            raise AbraceError(f"parameter duration: 0.0, expected the length of the {record} in seconds")
-        if len(given.band) != 2:
-            raise AbraceError(f"parameter band: {given.band}, expected two frequencies in Hz")
-        rate, band, rms, seed = given.sample_rate, (given.band[0], given.band[1]), given.rms, given.seed
-        if record == WHITE_NOISE:
-            motion = banded_noise(round(duration * rate), rate, band, rms, seed)
-        elif not band[0]:
-            expected = "a lowest frequency above 0: the table's stroke grows with 1 / frequency^2"
-            raise AbraceError(f"parameter band: {given.band} Hz of a multisine, expected {expected}")
-        else:
-            motion = repeated_multisine(duration, given.period, rate, band, rms, seed, given.lines, given.slope)
-        return motion * (peak_acceleration / np.abs(motion).max()) if peak_acceleration else motion
+        """The ground motion (samples,) [m/s^2] at the rig's sample rate, if the table can play it."""
+        at = self.playback.displacement if self.playback is not None else 0.0
+        return motion_as_given(self.parameters, self.table, record, peak_acceleration, duration, at)
+
+    def play(self, motion: np.ndarray) -> Playback:
+        """The playback of a motion from where the table is."""
+        at = self.playback.displacement if self.playback is not None else 0.0
+        return Playback(motion, self.parameters.sample_rate, self.table, at)
 
     def activate(self) -> None:
-        """Answer from the next sample on, with the record of the parameters unless the table still moves."""
-        if self.playback is None or self.playback.done:
-            self.watch.sequence = -1
+        """Answer from the next sample on, and play the record of the parameters once in each run of the rig."""
+        super().activate()
+        self.cancelled = ""
+        self.played_in_run = -1
+        self.let_go = False
 
-    def deactivate(self) -> None:
-        """Cancel the motion; the answers go on until the table is at rest."""
-        self.come_to_rest()
+    def come_to_rest(self) -> None:
+        """Cancel the motion, if one plays; the answers go on until the table is at rest."""
+        super().come_to_rest()
+        self.let_go = self.answering.silent(time.monotonic())
+        self.cancel()
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the table is, as far as it is known."""
+        return self.playback is None or self.playback.done or self.let_go
 
     def cleanup(self) -> None:
         """Destroy the action server."""
+        super().cleanup()
         self.server.destroy()
         self.playback, self.goal = None, None
 
-    def come_to_rest(self) -> None:
-        """Cancel the motion, if one plays."""
+    def cancel(self) -> None:
+        """Bring the table to rest, if a motion plays."""
         if self.playback is not None:
             self.playback.cancel()
             if self.playback.done:
                 self.end_goal(self.playback)
 
-    def on_response(self, payload: bytes) -> None:
+    def interrupt(self, cause: str) -> None:
+        """A fault or stop ends the motion, also one that waits: neither begins by itself when that is cleared."""
+        waits = self.first_motion is not None and self.played_in_run < 0
+        plays = self.playback is not None and not self.playback.done and not self.playback.cancelled
+        if (waits or plays) and not self.cancelled:
+            self.cancelled = cause
+            self.cancel()
+
+    def answer(self, stamp: int, head: Head, z: tuple[float, ...], lost: int) -> None:
         """Answer a sample."""
-        if not self.active and (self.playback is None or self.playback.done):
-            return
-        try:
-            stamp, sequence, _ = self.responses.unpack(payload)
-        except AbraceError as error:
-            text = str(error)
-            self.later(lambda: self.get_logger().error(text, throttle_duration_sec=1.0))
-            self.come_to_rest()
-            return
-        if self.watch.update(sequence, stamp) < 0:
-            self.restart(sequence)
-        playback = self.playback
-        if self.watch.problem and playback is not None and playback.played and not playback.cancelled:
-            problem = f"the table comes to rest: {self.watch.problem}"
-            self.later(lambda: self.get_logger().error(problem))
-            playback.cancel()
-        acceleration = playback.answer(sequence) if playback is not None else 0.0
+        self.safety.act([])
+        if cause := self.safety.cause or self.answering.cause:
+            self.interrupt(cause)
+        if lost == RESTART and self.safety.acting:
+            self.restart(head.run)
+        playback, goal = self.playback, self.goal
+        acceleration = playback.answer(head.sequence) if playback is not None else 0.0
         self.publisher.publish(pack_acceleration(stamp, acceleration))
-        goal = self.goal
         if playback is not None and goal is not None:
             if playback.done:
                 self.end_goal(playback)
-            elif sequence % FEEDBACK_EVERY == 0:
+            elif head.sequence % FEEDBACK_EVERY == 0:
                 feedback = PlayGroundMotion.Feedback(elapsed=playback.elapsed, duration=playback.duration)
                 self.later(lambda: goal.publish_feedback(feedback))
 
@@ -160,23 +146,28 @@ class GroundMotion(AbraceLifecycleNode):
         if goal is not None:
             self.server.notify_execute(goal, lambda goal: self.on_end(goal, playback))
 
-    def restart(self, sequence: int) -> None:
-        """The rig has restarted: end the motion and begin the record of the parameters, or a goal that waited."""
+    def restart(self, run: int) -> None:
+        """A run of the rig begins: end the motion of the one before, and begin the record of the parameters."""
+        if run == self.played_in_run:
+            return
+        self.played_in_run = run
         if self.goal is not None and self.playback is not None:
             if not self.playback.played:
                 return
             self.playback.cancelled = True
             self.end_goal(self.playback)
         self.playback = None
-        if self.first_motion is not None and not self.stopped:
-            self.playback = Playback(self.first_motion, self.parameters.sample_rate)
+        if self.first_motion is not None and not self.cancelled:
+            self.playback = self.play(self.first_motion)
 
     def on_goal(self, request: PlayGroundMotion.Goal) -> GoalResponse:
-        """Accept a goal unless a motion plays or is about to."""
-        waiting = self.first_motion is not None and self.watch.sequence < 0
+        """Accept a goal unless a motion plays or is about to, or nothing may act."""
+        waiting = self.first_motion is not None and self.played_in_run < 0 and not self.cancelled
         busy = waiting or (self.playback is not None and not self.playback.done)
-        if not self.active or busy or self.stopped:
-            reason = "emergency stop" if self.stopped else "a motion plays" if busy else "not active"
+        reason = (
+            "not active" if not self.active else self.fault or self.answering.held or ("a motion plays" if busy else "")
+        )
+        if reason:
             self.get_logger().error(f"play_ground_motion refused: {reason}")
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
@@ -199,8 +190,9 @@ class GroundMotion(AbraceLifecycleNode):
             return
         goal.execute()
         with self.lock:
-            self.playback = Playback(motion, self.parameters.sample_rate)
+            self.playback = self.play(motion)
             self.goal = goal
+            self.cancelled = ""
 
     def refuse(self, goal: ServerGoalHandle, message: str) -> PlayGroundMotion.Result:
         """The result of a goal that cannot be played."""
@@ -209,9 +201,9 @@ class GroundMotion(AbraceLifecycleNode):
         return PlayGroundMotion.Result(success=False, message=message)
 
     def on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
-        """Ramp the table to rest."""
+        """Bring the table to rest."""
         with self.lock:
-            self.come_to_rest()
+            self.cancel()
         return CancelResponse.ACCEPT
 
     def on_end(self, goal: ServerGoalHandle, playback: Playback) -> PlayGroundMotion.Result:
@@ -222,36 +214,34 @@ class GroundMotion(AbraceLifecycleNode):
             result.message = f"cancelled after {playback.elapsed:g} s"
         elif playback.cancelled:
             goal.abort()
-            result.message = "stopped: emergency stop, deactivation, or the rig stopped or lost samples"
+            result.message = "stopped: deactivation, or a fault or stop of the rig; see its diagnostics"
         else:
             goal.succeed()
             result.message = f"played {Path(goal.request.record).name}, {playback.duration:g} s"
         return result
 
-    def on_emergency_stop(self, message: Bool) -> None:
-        """The emergency stop is pressed or released."""
-        self.stopped = message.data
-        if self.stopped:
-            self.come_to_rest()
-        self.report_fault(self.fault)
-
     @property
-    def fault(self) -> str | None:
-        """The fault, if there is one: the emergency stop, while it is pressed."""
-        return "emergency stop" if self.stopped else None
+    def status(self) -> str:
+        """What the node does, for its diagnostics."""
+        playback = self.playback
+        if self.cancelled:
+            return f"cancelled: {self.cancelled}; deactivate and activate it to play again"
+        if not self.active or self.answering.held:
+            return super().status
+        if playback is None or playback.done:
+            return "ready"
+        return "coming to rest" if playback.cancelled else "playing"
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `/diagnostics`."""
+        """State for `/diagnostics`, with how far the motion is."""
+        fault, message, values = super().diagnose()
         playback = self.playback
-        values: dict[str, object] = {"lost": self.watch.missing} if self.active else {}
         if playback is not None:
             signal = "playing" if not playback.done else "cancelled" if playback.cancelled else "over"
             values |= {"elapsed": playback.elapsed, "duration": playback.duration, "signal": signal}
-        if self.fault:
-            return self.fault, "", values
-        if playback is None or playback.done:
-            return None, "ready" if self.active else "not active", values
-        return None, "coming to rest" if playback.cancelled else "playing", values
+        elif self.configured and self.cancelled:
+            values |= {"elapsed": 0.0, "signal": "cancelled"}
+        return fault, message, values
 
 
 def main() -> int:

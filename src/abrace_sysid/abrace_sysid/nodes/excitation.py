@@ -38,7 +38,9 @@ class Excitation(BraceCommander):
         groups = len(given.force_limit)
         self.signal = np.column_stack([self.signal_of(group, groups) for group in range(groups)])
         self.nothing = np.zeros(groups)
-        self.first = 0
+        self.first: int | None = None
+        self.cancelled = ""
+        self.played = 0
         self.create_topics(1 / given.sample_rate, given.force_limit)
 
     def signal_of(self, group: int, groups: int) -> np.ndarray:
@@ -59,28 +61,47 @@ class Excitation(BraceCommander):
             share=(group, groups),
         )
 
+    def activate(self) -> None:
+        """Play the signal, from the first sample on."""
+        super().activate()
+        self.first, self.cancelled, self.played = None, "", 0
+        self.played_in_run = -1
+
+    def interrupt(self, cause: str) -> None:
+        """A fault or stop of the rig ends the signal: it does not begin again by itself when that is cleared."""
+        if self.played < len(self.signal):
+            self.cancelled = cause
+
     def restart(self, sequence: int, floors: int, groups: int) -> None:
-        """The signal begins with this sample."""
-        self.first = sequence
+        """The signal begins with this sample, once in each run of the rig."""
+        run = self.answering.watch.run
+        if run != self.played_in_run:
+            self.first, self.played, self.played_in_run = sequence, 0, run
         if groups != len(self.nothing):
-            self.guard.fault(f"the rig has {groups} brace groups, expected {len(self.nothing)} (parameter force_limit)")
+            self.safety.fault(
+                f"the rig has {groups} brace groups, expected {len(self.nothing)} (parameter force_limit)"
+            )
 
     def force(self, sequence: int, z: tuple[float, ...], lost: int) -> np.ndarray:
         """The signal of this sample; zero when it is over."""
+        if self.first is None or self.cancelled:
+            return self.nothing
         index = sequence - self.first
+        self.played = min(index + 1, len(self.signal))
         return self.signal[index] if index < len(self.signal) else self.nothing
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """State for `/diagnostics`, with how far the signal is."""
         fault, message, values = super().diagnose()
-        if self.configured and self.watch.sequence >= 0:
-            rate, played = self.parameters.sample_rate, self.watch.sequence - self.first + 1
-            over = played >= len(self.signal)
+        if self.configured and (self.first is not None or self.cancelled):
+            rate, over = self.parameters.sample_rate, self.played == len(self.signal)
             values |= {
-                "elapsed": min(played, len(self.signal)) / rate,
+                "elapsed": self.played / rate,
                 "duration": len(self.signal) / rate,
-                "signal": "over" if over else "playing",
+                "signal": "cancelled" if self.cancelled else "over" if over else "playing",
             }
+            if self.cancelled and not fault:
+                message = f"cancelled: {self.cancelled}; deactivate and activate it to play again"
         return fault, message, values
 
 

@@ -1,0 +1,121 @@
+"""Hears every stop button of the laboratory and of the rig, whatever its QoS, and tells one sender from another.
+
+rclpy does not say who published a message. Its C library does: the messages are taken from there, by nobody's executor.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from functools import cache
+from typing import TYPE_CHECKING, ClassVar
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+
+from abrace_core.safety.stop_senders import StopSenders
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rclpy.node import Node
+    from rclpy.subscription import Subscription
+
+TOPICS = ("/emergency_stop", "emergency_stop")
+"""The whole laboratory's, and the rig's own."""
+
+_DEPTH = 100
+_QOS = (
+    QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE),
+    QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+    QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
+)
+"""One for each kind of publisher: what a volatile subscription misses is what a latched button said before it came, and
+a reliable one does not hear a publisher that is not."""
+
+
+class _Gid(ctypes.Structure):
+    _fields_: ClassVar = [("implementation", ctypes.c_char_p), ("data", ctypes.c_uint8 * 16)]
+
+
+class _MessageInfo(ctypes.Structure):
+    """rmw_message_info_t of ROS 2 Jazzy."""
+
+    _fields_: ClassVar = [
+        ("source_timestamp", ctypes.c_int64),
+        ("received_timestamp", ctypes.c_int64),
+        ("publication_number", ctypes.c_uint64),
+        ("reception_number", ctypes.c_uint64),
+        ("publisher", _Gid),
+        ("from_intra_process", ctypes.c_bool),
+    ]
+
+
+@cache
+def _rcl() -> ctypes.CDLL:
+    library = ctypes.CDLL("librcl.so")
+    library.rcl_take.argtypes = [ctypes.c_void_p] * 4
+    return library
+
+
+def _taken(subscription: Subscription) -> Iterator[tuple[bytes, int, bool]]:
+    """Sender, number and content of the messages that have come."""
+    data, info = ctypes.c_bool(), _MessageInfo()
+    handle = subscription.handle
+    with handle:
+        for _ in range(_DEPTH):
+            if _rcl().rcl_take(handle.pointer, ctypes.byref(data), ctypes.byref(info), None):
+                return
+            yield bytes(info.publisher.data), info.publication_number, data.value
+
+
+class StopListener:
+    """The stop buttons that a node hears.
+
+    Parameters
+    ----------
+    node
+        Whose subscriptions they are, outside its executor.
+    heartbeat
+        As for `StopSenders` [s].
+    """
+
+    def __init__(self, node: Node, heartbeat: float) -> None:
+        self._node = node
+        self._topics = sorted({node.resolve_topic_name(topic) for topic in TOPICS})
+        self._subscriptions = []
+        for topic in self._topics:
+            for qos in _QOS:
+                subscription = node.create_subscription(Bool, topic, lambda _: None, qos)
+                node._subscriptions.remove(subscription)
+                self._subscriptions.append(subscription)
+        self._numbers: dict[bytes, int] = {}
+        self._senders = StopSenders(heartbeat, time.monotonic())
+
+    def who(self) -> str:
+        """Who asks for a stop now; empty: nobody."""
+        now = time.monotonic()
+        for subscription in self._subscriptions:
+            for sender, number, pressed in _taken(subscription):
+                if number > self._numbers.get(sender, 0):
+                    self._numbers[sender] = number
+                    self._senders.hear(sender, self._name(sender), pressed, now)
+        return self._senders.who(now)
+
+    def forget_gone(self) -> None:
+        """A person clears: who has left the graph does not count any more."""
+        present = {
+            bytes(one.endpoint_gid) for topic in self._topics for one in self._node.get_publishers_info_by_topic(topic)
+        }
+        gone = set(self._senders.senders) - present
+        self._senders.forget(gone, time.monotonic())
+
+    def _name(self, sender: bytes) -> str:
+        known = self._senders.name(sender)
+        if known:
+            return known
+        for topic in self._topics:
+            for one in self._node.get_publishers_info_by_topic(topic):
+                if bytes(one.endpoint_gid) == sender:
+                    return f"{one.node_namespace.rstrip('/')}/{one.node_name}"
+        return "a node that has left"

@@ -1,0 +1,320 @@
+"""What may act on a rig: one state machine for table and braces together, without ROS.
+
+A rig, simulated or real, decides with it; whoever commands the rig has one of its own for what it sends, and learns the
+rig's from every sample. What leads where stands in `TRANSITIONS` alone: for every state and every event.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import Enum, IntEnum
+from typing import TYPE_CHECKING, Protocol
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+RAMP_TIME = 0.5
+"""Seconds in which forces go to zero, and in which they fade in after a fault was cleared."""
+
+
+class State(IntEnum):
+    """What may act; the numbers are those of Response.msg."""
+
+    UNCONFIGURED = 0
+    STANDBY = 1
+    FADING_IN = 2
+    RUNNING = 3
+    RAMPING_DOWN = 4
+    LATCHED = 5
+    PROTECTIVE_STOP = 6
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        return self.name.lower().replace("_", " ")
+
+
+ACTING = (State.FADING_IN, State.RUNNING)
+"""States in which commands act."""
+
+
+class Event(Enum):
+    """What can happen; the values are its words."""
+
+    CONFIGURE = "configure"
+    CLEAN_UP = "cleanup"
+    ACTIVATE = "activate"
+    DEACTIVATE = "deactivate"
+    FAULT = "a fault"
+    STOP = "a stop is pressed"
+    RELEASE = "the last stop is released"
+    CLEAR_UNCONFIGURED = "clear_fault while unconfigured"
+    CLEAR_INACTIVE = "clear_fault while inactive"
+    CLEAR_ACTIVE = "clear_fault while active"
+    FADED_IN = "the fade is over"
+    AT_REST = "all at rest, no fault"
+    AT_REST_FAULT = "all at rest after a fault"
+    AT_REST_STOP = "all at rest, a stop pressed"
+
+
+_CLEARS = (Event.CLEAR_UNCONFIGURED, Event.CLEAR_INACTIVE, Event.CLEAR_ACTIVE)
+
+
+def _row(state: State, refused: Mapping[Event, str] | None = None, **leads: State) -> dict[Event, State | str]:
+    """The outcomes of all events in a `state`: where some lead, why some are `refused`; the others change nothing."""
+    row: dict[Event, State | str] = dict.fromkeys(Event, state)
+    row.update({Event[name]: following for name, following in leads.items()})
+    row.update(refused or {})
+    return row
+
+
+_NO_FAULT = dict.fromkeys(_CLEARS, "no fault")
+_LIFE_CYCLE = (Event.CONFIGURE, Event.CLEAN_UP, Event.ACTIVATE, Event.DEACTIVATE)
+_ACTIVE = dict.fromkeys((Event.CONFIGURE, Event.CLEAN_UP, Event.ACTIVATE), "active")
+
+TRANSITIONS: Mapping[State, Mapping[Event, State | str]] = {
+    State.UNCONFIGURED: _row(
+        State.UNCONFIGURED,
+        {**_NO_FAULT, **dict.fromkeys((Event.CLEAN_UP, Event.ACTIVATE, Event.DEACTIVATE), "unconfigured")},
+        CONFIGURE=State.STANDBY,
+        FAULT=State.LATCHED,
+        STOP=State.PROTECTIVE_STOP,
+    ),
+    State.STANDBY: _row(
+        State.STANDBY,
+        {**_NO_FAULT, **dict.fromkeys((Event.CONFIGURE, Event.DEACTIVATE), "inactive")},
+        CLEAN_UP=State.UNCONFIGURED,
+        ACTIVATE=State.RUNNING,
+        FAULT=State.LATCHED,
+        STOP=State.PROTECTIVE_STOP,
+    ),
+    State.FADING_IN: _row(
+        State.FADING_IN,
+        {**_NO_FAULT, **_ACTIVE},
+        DEACTIVATE=State.RAMPING_DOWN,
+        FAULT=State.RAMPING_DOWN,
+        STOP=State.RAMPING_DOWN,
+        FADED_IN=State.RUNNING,
+    ),
+    State.RUNNING: _row(
+        State.RUNNING,
+        {**_NO_FAULT, **_ACTIVE},
+        DEACTIVATE=State.RAMPING_DOWN,
+        FAULT=State.RAMPING_DOWN,
+        STOP=State.RAMPING_DOWN,
+    ),
+    State.RAMPING_DOWN: _row(
+        State.RAMPING_DOWN,
+        {
+            **dict.fromkeys(_CLEARS, "still on the way to rest"),
+            **dict.fromkeys((Event.CONFIGURE, Event.CLEAN_UP, Event.ACTIVATE), "still on the way to rest"),
+        },
+        AT_REST=State.STANDBY,
+        AT_REST_FAULT=State.LATCHED,
+        AT_REST_STOP=State.PROTECTIVE_STOP,
+    ),
+    # neither a fault nor a stop is ended by the life cycle: it may change, but for what would let something act
+    State.LATCHED: _row(
+        State.LATCHED,
+        {Event.ACTIVATE: "a fault is latched, expected a person to clear it first"},
+        STOP=State.PROTECTIVE_STOP,
+        CLEAR_UNCONFIGURED=State.UNCONFIGURED,
+        CLEAR_INACTIVE=State.STANDBY,
+        CLEAR_ACTIVE=State.FADING_IN,
+    ),
+    State.PROTECTIVE_STOP: _row(
+        State.PROTECTIVE_STOP,
+        {
+            Event.ACTIVATE: "a stop is pressed, expected it to be released and cleared first",
+            **dict.fromkeys(_CLEARS, "a stop is still pressed"),
+        },
+        RELEASE=State.LATCHED,
+    ),
+}
+"""By state and event: the state that follows, or why the event is refused."""
+
+
+class Output(Protocol):
+    """What acts on a rig, with its limits: the forces of the braces, or the acceleration of the table."""
+
+    value: list[float]
+    """What acts from the last sample on."""
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it has come to rest."""
+
+    def problem(self, command: Sequence[float]) -> str | None:
+        """Why a command cannot act; None: it can."""
+
+    def follow(self, command: Sequence[float] | None, share: float) -> None:
+        """Take over a `share` of the command within the limits; None: of the last one."""
+
+    def begin_to_rest(self) -> None:
+        """From the next sample on, come to rest."""
+
+    def come_to_rest(self, samples: int) -> None:
+        """Go so many samples further on the way to rest."""
+
+    def reset(self) -> None:
+        """Be at rest."""
+
+
+class RigSafety:
+    """The state, and the only owner of what acts.
+
+    Attributes
+    ----------
+    state
+        What may act.
+    cause
+        Of the first fault or stop since a person cleared the last one; empty: none.
+    pressed
+        Who presses a stop; empty: nobody.
+    outputs
+        What acts: as given to `configure`.
+    """
+
+    def __init__(self) -> None:
+        self.state = State.UNCONFIGURED
+        self.cause = ""
+        self.pressed = ""
+        self.outputs: Sequence[Output] = ()
+        self._life = State.UNCONFIGURED
+        self._fade: list[float] = []
+        self._faded = 0
+
+    @property
+    def acting(self) -> bool:
+        """Whether commands act."""
+        return self.state in ACTING
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing acts and nothing is on the way to rest."""
+        return self.state not in (*ACTING, State.RAMPING_DOWN)
+
+    def _take(self, event: Event) -> None:
+        """Go where an event leads; an AbraceError says why it is refused."""
+        outcome = TRANSITIONS[self.state][event]
+        if isinstance(outcome, str):
+            raise AbraceError(f"{outcome}{f' ({self.cause})' if self.cause else ''}")
+        before, self.state = self.state, outcome
+        if outcome is State.RAMPING_DOWN and before is not outcome:
+            for output in self.outputs:
+                output.begin_to_rest()
+        elif outcome is State.FADING_IN and before is not outcome:
+            self._faded = 0
+
+    def configure(self, outputs: Sequence[Output], sample_period: float) -> None:
+        """Own these `outputs`, sampled with a period [s].
+
+        Raises
+        ------
+        AbraceError
+            As `activate`, `deactivate` and `clean_up`: if the state does not allow it.
+        """
+        self._take(Event.CONFIGURE)
+        self._life = State.STANDBY
+        self.outputs = outputs
+        steps = round(RAMP_TIME / sample_period)
+        self._fade = [(1 - math.cos(math.pi * j / steps)) / 2 for j in range(1, steps)]
+
+    def activate(self) -> None:
+        """Let commands act, from rest."""
+        self._take(Event.ACTIVATE)
+        self._life = State.RUNNING
+        for output in self.outputs:
+            output.reset()
+
+    def deactivate(self) -> None:
+        """Come to rest; `at_rest` tells when it is done."""
+        self._take(Event.DEACTIVATE)
+        self._life = State.STANDBY
+
+    def clean_up(self) -> None:
+        """Own nothing; a fault stays latched."""
+        self._take(Event.CLEAN_UP)
+        self._life = State.UNCONFIGURED
+        self.outputs = ()
+
+    def fault(self, cause: str) -> None:
+        """A fault: all comes to rest and stays there until a person clears it; the first cause is kept."""
+        self.cause = self.cause or cause
+        self._take(Event.FAULT)
+
+    def stop(self, who: str) -> None:
+        """A stop is pressed by those of whom `who` tells; empty: the last one has been released."""
+        if who:
+            self.cause = self.cause or f"protective stop: {who}"
+            self.pressed = who
+            self._take(Event.STOP)
+        elif self.pressed:
+            self.pressed = ""
+            self._take(Event.RELEASE)
+
+    def clear(self, moving: str = "") -> str:
+        """A person clears the fault; what then may act fades in. Returns the cause that was cleared.
+
+        `moving` says which input is not at rest; empty: all are.
+
+        Raises
+        ------
+        AbraceError
+            If there is no fault, a stop is pressed, or something is not at rest yet.
+        """
+        event = {
+            State.UNCONFIGURED: Event.CLEAR_UNCONFIGURED,
+            State.STANDBY: Event.CLEAR_INACTIVE,
+            State.RUNNING: Event.CLEAR_ACTIVE,
+        }[self._life]
+        outcome = TRANSITIONS[self.state][event]
+        if moving and not isinstance(outcome, str):
+            raise AbraceError(f"{moving}, expected every input at rest first")
+        self._take(event)
+        for output in self.outputs:
+            output.reset()
+        cause, self.cause = self.cause, ""
+        return cause
+
+    def act(self, commands: Sequence[Sequence[float] | None], samples: int = 1) -> None:
+        """What acts from this sample on; once a sample.
+
+        Parameters
+        ----------
+        commands
+            For each output the new command; None: the last one holds. One that can't act is a fault.
+        samples
+            Sample periods since the last call.
+        """
+        if self.state in ACTING:
+            for output, command in zip(self.outputs, commands, strict=True):
+                if command is not None and (problem := output.problem(command)):
+                    self.fault(problem)
+                    break
+        if self.state is State.RUNNING:
+            for output, command in zip(self.outputs, commands, strict=True):
+                output.follow(command, 1.0)
+        elif self.state is State.FADING_IN:
+            self._faded += samples
+            share = self._fade[self._faded - 1] if self._faded <= len(self._fade) else 1.0
+            for output, command in zip(self.outputs, commands, strict=True):
+                output.follow(command, share)
+            if share == 1.0:
+                self._take(Event.FADED_IN)
+        elif self.state is State.RAMPING_DOWN:
+            for output in self.outputs:
+                output.come_to_rest(samples)
+            self._look_for_rest()
+
+    def rest(self) -> None:
+        """All is at rest at once: something else keeps what it commands from acting."""
+        for output in self.outputs:
+            output.reset()
+        self._look_for_rest()
+
+    def _look_for_rest(self) -> None:
+        if self.state is State.RAMPING_DOWN and all(output.at_rest for output in self.outputs):
+            self._take(Event.AT_REST_STOP if self.pressed else Event.AT_REST_FAULT if self.cause else Event.AT_REST)

@@ -1,0 +1,91 @@
+"""The limits that every acceleration of the shake table passes before it acts, and the stop that brings it to rest."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from abrace_core.safety.table_stop import TableState, TableStop
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from abrace_core.safety.table_stop import Table
+
+
+class TableGuard:
+    """Guards the acceleration of a shake table, sample by sample; within the limits it passes bit for bit.
+
+    Parameters
+    ----------
+    table
+        Limits of the table.
+    sample_period
+        Between two calls of `follow` or `come_to_rest` [s].
+
+    Attributes
+    ----------
+    value
+        (1,) [m/s^2], the acceleration that acts.
+    state
+        Of the table, as commanded.
+    limited
+        Whether the last acceleration was limited.
+    limits
+        Samples so far at which it was.
+    """
+
+    def __init__(self, table: Table, sample_period: float) -> None:
+        self._table, self._period = table, sample_period
+        self._step = table.peak_jerk * sample_period
+        self.limits = 0
+        self.state = TableState(sample_period)
+        self.reset()
+
+    def reset(self) -> None:
+        """The table is at rest, where it is."""
+        self.state = TableState(self._period, self.state.displacement)
+        self.value = self._command = [0.0]
+        self._stop: TableStop | None = None
+        self.limited = False
+
+    def problem(self, command: Sequence[float]) -> str | None:
+        """Why an acceleration (1,) [m/s^2] cannot act; None: it can."""
+        if len(command) != 1 or not math.isfinite(command[0]):
+            return f"ground acceleration {list(command)}, expected one finite number"
+        return None
+
+    def follow(self, command: Sequence[float] | None, share: float = 1.0) -> None:
+        """Take over a `share` of an acceleration that has no problem; None: of the last one."""
+        if command is not None:
+            self._command = [float(command[0])]
+        wanted, last = self._command[0] * share, self.value[0]
+        most, step = self._table.peak_acceleration, self._step
+        value = min(max(wanted, -most), most)
+        if abs(value - last) > step:
+            value = last + math.copysign(step, value - last)
+        self.limited = value != wanted
+        self.limits += self.limited
+        self._go(value)
+
+    def begin_to_rest(self) -> None:
+        """Begin the stop that brings the table to rest within its limits."""
+        state = self.state
+        self._command = [0.0]
+        self.limited = False
+        self._stop = TableStop(state.acceleration, state.velocity, state.displacement, self._table, self._period)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the stop is over."""
+        return self._stop is None or self._stop.done
+
+    def come_to_rest(self, samples: int = 1) -> None:
+        """Go so many `samples` further in the stop."""
+        assert self._stop is not None
+        for _ in range(samples):
+            self._go(self._stop.next())
+
+    def _go(self, acceleration: float) -> None:
+        self.value = [acceleration]
+        self.state.update(acceleration)

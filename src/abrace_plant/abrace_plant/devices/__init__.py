@@ -1,0 +1,1 @@
+"""What a rig can be made of: the simulated one, and hardware behind a network."""

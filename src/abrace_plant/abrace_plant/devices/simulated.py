@@ -1,0 +1,99 @@
+"""The simulated rig as a device: its hardware is a model and, by the clock, the computer's own time."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core import signals
+from abrace_plant.devices.device import Reading
+from abrace_plant.rig.motion import RigMotion
+from abrace_plant.rig.sensors import Measurement, parse_fault
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from abrace_plant.rig.model import Rig
+    from abrace_plant.rig.sensors import SensorFault
+
+LONGEST_CATCH_UP = 0.01
+"""Seconds of a delay that are caught up, sample after sample. Of a longer one the samples are missed."""
+
+
+def sensor_faults(texts: Sequence[str], rig: Rig) -> tuple[SensorFault, ...]:
+    """Sensor faults for `SimulatedRig.set_sensor_faults`; their times count from sample 0.
+
+    Parameters
+    ----------
+    texts
+        Each as for `parse_fault`, such as `["a2=stuck", "x3=noise@20.0"]`.
+    rig
+        Whose sensors fail.
+
+    Raises
+    ------
+    AbraceError
+        As in `parse_fault`.
+    """
+    channels = *signals.response_names(rig.floors, rig.groups), signals.GROUND
+    return tuple(parse_fault(text, channels, 1 / rig.sample_rate) for text in texts)
+
+
+class SimulatedRig:
+    """A rig that starts at rest.
+
+    Parameters
+    ----------
+    rig
+        The rig.
+    seed
+        Of the sensors' noise.
+    by_the_clock
+        Whether a sample is taken when it is due; otherwise at once, and stamps count from zero.
+    """
+
+    def __init__(self, rig: Rig, seed: int, by_the_clock: bool) -> None:
+        self._period = 1 / rig.sample_rate
+        self._motion = RigMotion(rig)
+        channels = rig.sensors.channels(rig.floors, rig.groups)
+        self._measurement = Measurement(channels, seed, self._period)
+        self._true = np.zeros(len(channels))
+        self._by_the_clock = by_the_clock
+        self._samples = 0
+        self._start = 0.0
+
+    def set_sensor_faults(self, faults: tuple[SensorFault, ...]) -> None:
+        """Replace the sensor faults; none: every channel is well."""
+        self._measurement.faults = faults
+
+    def open(self) -> None:
+        """Begin: the first sample is due now."""
+        self._start = time.monotonic()
+
+    def exchange(self, command: Sequence[float], table: float) -> Reading:
+        """Wait for the next sample; `command` and `table` act from its instant on."""
+        missed = late = 0
+        stamp = round(self._samples * self._period * 1e9)
+        if self._by_the_clock:
+            delay = self._start + self._samples * self._period - time.monotonic()
+            if delay > 0:
+                time.sleep(delay)
+                delay = self._start + self._samples * self._period - time.monotonic()
+            late = int(-delay / self._period)
+            if -delay > LONGEST_CATCH_UP:
+                missed = late
+            stamp = time.time_ns()
+        for _ in range(1 + missed):
+            self._true[:-1] = self._motion.outputs(table, np.asarray(command))
+        self._samples += 1 + missed
+        self._true[-1] = table
+        values = self._measurement.read(self._true)
+        return Reading(values, stamp, self._measurement.clipped(values), missed, late > 0)
+
+    def make_safe(self) -> None:
+        """Nothing is left to do: nobody is hurt by a model."""
+
+    def close(self) -> None:
+        """Nothing is open."""

@@ -1,0 +1,90 @@
+"""A run of a rig by the clock: a thread that acts, asks the device for its next sample, and hands it on."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING
+
+from abrace_plant.devices.device import DeviceError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from abrace_plant.devices.device import Device
+    from abrace_plant.live.loop import RigLoop, Sample
+
+ANSWER_SHARE = 0.8
+"""Share of the sample period for which the commands that answer a sample are waited for; later ones act a sample later."""
+
+
+class RealTimeRun(threading.Thread):
+    """Runs a rig until it is told to end and all is at rest.
+
+    Parameters
+    ----------
+    loop, device
+        Of the run; the device is open.
+    sample_period
+        [s].
+    lock
+        Held by whoever uses the loop; released while the device is waited for.
+    publish
+        Called with each sample, with the lock.
+    over
+        Called, without the lock, when the run is over; what broke it off is in `error`.
+    prepare
+        Called first in the thread.
+    """
+
+    def __init__(
+        self,
+        loop: RigLoop,
+        device: Device,
+        sample_period: float,
+        lock: threading.RLock,
+        publish: Callable[[Sample], None],
+        over: Callable[[], None],
+        prepare: Callable[[], None],
+    ) -> None:
+        super().__init__(name="rig", daemon=True)
+        self._loop, self._device = loop, device
+        self._period, self._publish, self._over, self._prepare = sample_period, publish, over, prepare
+        self._answered = threading.Condition(lock)
+        self.error: BaseException | None = None
+
+    def answered(self) -> None:
+        """An answer has come; called with the lock."""
+        if self._loop.all_answered():
+            self._answered.notify()
+
+    def run(self) -> None:
+        """The thread."""
+        try:
+            self._prepare()
+            self._run()
+        except BaseException as error:
+            self.error = error
+            self._device.make_safe()
+        finally:
+            self._device.close()
+            self._over()
+
+    def _run(self) -> None:
+        loop, period, monotonic = self._loop, self._period, time.monotonic
+        last, samples = monotonic(), 1
+        while not loop.ended:
+            with self._answered:
+                self._answered.wait_for(loop.all_answered, last + ANSWER_SHARE * period - monotonic())
+                force, table = loop.act(samples)
+            try:
+                reading = self._device.exchange(force, table)
+            except DeviceError as error:
+                now = monotonic()
+                last, samples = now, max(1, round((now - last) / period))
+                with self._answered:
+                    loop.fail(str(error))
+                continue
+            last, samples = monotonic(), 1 + reading.missed
+            with self._answered:
+                self._publish(loop.take(reading))

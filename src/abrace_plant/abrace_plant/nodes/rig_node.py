@@ -1,0 +1,240 @@
+"""The base of a rig as a node, whatever its device: the simulated rig, or hardware behind the bridge."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import AccelStamped
+from rclpy.clock import Clock as RosClock
+from rclpy.clock import ClockType
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from abrace_core.errors import AbraceError
+from abrace_core.node import AbraceLifecycleNode, Parameter, find_file
+from abrace_core.node.conventions import DISPLAY_PERIOD, KEPT_STREAM_QOS, STREAM_QOS, TRANSIENT_LOCAL_QOS, clearing
+from abrace_core.node.stop_listener import StopListener
+from abrace_core.safety.rig_safety import RigSafety
+from abrace_core.safety.table_stop import LONGEST
+from abrace_core.wire import BraceCommands, Responses, unpack_acceleration
+from abrace_interfaces.msg import BraceCommand, Response
+from abrace_plant.live.loop import COMMAND, GROUND, RigLoop, rig_outputs
+from abrace_plant.live.real_time import RealTimeRun
+from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.robot_description import joint_names, urdf
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from abrace_plant.devices.device import Device
+    from abrace_plant.live.loop import Sample
+    from abrace_plant.rig.model import Rig
+
+STOP_PERIOD = 0.01
+"""Seconds between looks for stop buttons."""
+
+RIG_PARAMETERS = [
+    Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
+    Parameter("duration", 0.0, "seconds to run, then end; 0: until stopped", minimum=0.0),
+    Parameter("command_timeout", 0.02, "seconds that an input may be missing while it is not zero", minimum=0.002),
+    Parameter("late_limit", 10, "samples in a row that may be late or missed; more are a fault", minimum=1),
+    Parameter("stop_heartbeat", 0.0, "seconds within which every stop button repeats itself; 0: need not", minimum=0.0),
+]
+
+
+class RigNode(AbraceLifecycleNode):
+    """Publishes the samples of a rig, and lets commands act as far as its safety allows."""
+
+    ramp_time = LONGEST
+    rig: Rig
+    device: Device
+    loop: RigLoop | None = None
+    run: RealTimeRun | None = None
+    lockstep = False
+
+    def __init__(self, name: str, table: Sequence[Parameter]) -> None:
+        super().__init__(name, [*RIG_PARAMETERS, *table])
+        self.remedy = clearing(self)
+        self.safety = RigSafety()
+        self.run_number = 0
+        self.create_service(Trigger, "~/clear_fault", self.on_clear_fault)
+        self.stops = StopListener(self, self.parameters.stop_heartbeat)
+        self.create_timer(STOP_PERIOD, self.look_for_stops, clock=RosClock(clock_type=ClockType.STEADY_TIME))
+        self.keep_endpoints()
+
+    def make_device(self) -> Device:
+        """The device of this run; subclasses make it. An AbraceError refuses the activation."""
+        raise NotImplementedError
+
+    def load(self) -> Rig:
+        """The rig of the parameters; an AbraceError refuses the configuration."""
+        return load_rig(find_file(self.parameters.rig, "abrace_plant", "config", ".yaml", "rig"))
+
+    def configure(self) -> None:
+        """Load the rig and create the topics."""
+        self.rig = self.load()
+        self.safety.configure(rig_outputs(self.rig), 1 / self.rig.sample_rate)
+        self.response = self.publish_on(Response, "response", KEPT_STREAM_QOS)
+        self.joint_states = self.create_publisher(JointState, "joint_states", 10)
+        self.description = self.create_publisher(String, "robot_description", TRANSIENT_LOCAL_QOS)
+        self.description.publish(String(data=urdf(self.rig)))
+        self.clock_publisher = self.create_publisher(Clock, "clock", 10) if self.lockstep else None
+        self.inputs = {
+            COMMAND: self.subscribe_to(BraceCommand, COMMAND, self.on_command, STREAM_QOS, raw=True),
+            GROUND: self.subscribe_to(AccelStamped, GROUND, self.on_ground_motion, STREAM_QOS, raw=True),
+        }
+        self.responses, self.commands = Responses(), BraceCommands()
+        self.joints = JointState(name=list(joint_names(self.rig)))
+
+    def activate(self) -> None:
+        """Begin a run at sample 0, from rest."""
+        given, rig = self.parameters, self.rig
+        self.device = self.make_device()
+        self.safety.activate()
+        # later runs have greater numbers, those of a node that is started anew as well
+        self.run_number = max(self.run_number + 1, time.time_ns())
+        self.loop = RigLoop(
+            rig, self.device, self.safety, given.command_timeout, given.late_limit, self.run_number, self.lockstep
+        )
+        self.last = max(1, round(given.duration * rig.sample_rate)) - 1 if given.duration else -1
+        self.next_display = 0.0
+        self.done = False
+        if not self.lockstep:
+            self.device.open()
+            self.run = RealTimeRun(
+                self.loop, self.device, 1 / rig.sample_rate, self.lock, self.publish_sample, self.run_over, self.prepare
+            )
+            self.run.start()
+
+    def prepare(self) -> None:
+        """Called in the thread of a run by the clock before its first sample."""
+
+    def come_to_rest(self) -> None:
+        """Bring braces and table to rest; the run ends with the first sample at which they are."""
+        assert self.loop is not None
+        self.safety.deactivate()
+        self.loop.ending = True
+        while self.lockstep and not self.loop.ended:
+            self.publish_sample(self.loop.step())
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the run is over."""
+        return self.loop is None or self.loop.ended
+
+    def deactivate(self) -> None:
+        """The run is over."""
+        self.due = None
+
+    def cleanup(self) -> None:
+        """Own nothing that acts."""
+        if not self.safety.at_rest:
+            self.safety.deactivate()
+            self.safety.rest()
+        self.safety.clean_up()
+
+    def run_over(self) -> None:
+        """A run by the clock has ended; called in its thread."""
+        run, loop = self.run, self.loop
+        assert run is not None
+        assert loop is not None
+        if run.error is not None:
+            self.later(lambda: self.finish(1, f"{type(run.error).__name__}: {run.error}"))
+        elif self.done:
+            self.later(lambda: self.finish(0, f"done: {loop.sequence + 1} samples"))
+        self.tell_rest()
+
+    def publish_sample(self, sample: Sample) -> None:
+        """Publish a sample, report a fault that is new, and end the run after its last one."""
+        reading, floors, groups = sample.reading, self.rig.floors, self.rig.groups
+        self.response.publish(
+            self.responses.pack(
+                sample.stamp,
+                sample.head,
+                sample.cause,
+                displacement=reading[:floors],
+                acceleration=reading[floors + groups : 2 * floors + groups],
+                stroke=reading[floors : floors + groups],
+                force=reading[2 * floors + groups : -1],
+                command=sample.command,
+                ground_acceleration=reading[-1],
+            )
+        )
+        self.report_fault(sample.cause or None)
+        now = time.monotonic()
+        if now >= self.next_display:
+            self.next_display = now + DISPLAY_PERIOD
+            stamp = Time(sec=sample.stamp // 10**9, nanosec=sample.stamp % 10**9)
+            self.later(lambda: self.show(stamp, reading[:floors]))
+        if sample.head.sequence == self.last and not self.lockstep:
+            self.done = True
+            self.come_to_rest()
+
+    def show(self, stamp: Time, displacement: list[float]) -> None:
+        """Publish what viewers show."""
+        self.joints.header.stamp = stamp
+        self.joints.position = displacement
+        self.joint_states.publish(self.joints)
+        if self.clock_publisher is not None:
+            self.clock_publisher.publish(Clock(clock=stamp))
+
+    def on_command(self, payload: bytes) -> None:
+        """Accept a command."""
+        if self.active and self.loop is not None:
+            try:
+                self.loop.receive_command(*self.commands.unpack(payload))
+            except AbraceError as error:
+                self.safety.fault(str(error))
+            self.answered()
+
+    def on_ground_motion(self, payload: bytes) -> None:
+        """Accept a ground acceleration."""
+        if self.active and self.loop is not None:
+            try:
+                self.loop.receive_ground_acceleration(*unpack_acceleration(payload))
+            except AbraceError as error:
+                self.safety.fault(str(error))
+            self.answered()
+
+    def answered(self) -> None:
+        """An input has answered; called with the lock."""
+        if self.run is not None:
+            self.run.answered()
+
+    def look_for_stops(self) -> None:
+        """Hear the stop buttons."""
+        who = self.stops.who()
+        with self.lock:
+            if who != self.safety.pressed:
+                self.safety.stop(who)
+        self.report_fault(self.safety.cause or None)
+
+    def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Clear the latched fault."""
+        self.stops.forget_gone()
+        self.look_for_stops()
+        with self.lock:
+            try:
+                moving = self.loop.moving() if self.active and self.loop is not None else ""
+                response.message = f"cleared: {self.safety.clear(moving)}"
+                response.success = True
+            except AbraceError as error:
+                response.message = str(error)
+        self.report_fault(self.safety.cause or None)
+        return response
+
+    def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
+        """State for `/diagnostics`."""
+        fault = self.safety.cause or None
+        if not self.configured:
+            return fault, "not configured", {}
+        values: dict[str, object] = {"state": self.safety.state.words}
+        if self.safety.pressed:
+            values["stop"] = self.safety.pressed
+        if self.loop is not None:
+            values |= {"sequence": self.loop.sequence, **self.loop.counters()}
+        return fault, self.safety.state.words if self.active else "not active", values

@@ -1,0 +1,144 @@
+"""A run by the clock, with a device that fails, delays and ends as it is told."""
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from abrace_core.safety.rig_safety import RigSafety, State
+from abrace_core.wire import LAST
+from abrace_plant.devices.device import DeviceError, Reading
+from abrace_plant.devices.simulated import SimulatedRig
+from abrace_plant.live.loop import RigLoop, rig_outputs
+from abrace_plant.live.real_time import RealTimeRun
+from abrace_plant.rig.file import load_rig
+
+PERIOD = 0.002
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml")
+
+
+class Bench:
+    """A run in its thread, with all of its samples."""
+
+    def __init__(self, rig, device) -> None:
+        self.lock = threading.RLock()
+        self.safety = RigSafety()
+        self.safety.configure(rig_outputs(rig), PERIOD)
+        self.safety.activate()
+        self.loop = RigLoop(rig, device, self.safety, 10.0, 500, 1, lockstep=False)
+        self.samples = []
+        self.over = threading.Event()
+        device.open()
+        self.run = RealTimeRun(
+            self.loop, device, PERIOD, self.lock, self.samples.append, self.over.set, prepare=lambda: None
+        )
+        self.run.start()
+
+    def until(self, holds) -> None:
+        deadline = time.monotonic() + 20
+        while not holds():
+            assert time.monotonic() < deadline
+            time.sleep(0.001)
+
+    def end(self) -> None:
+        with self.lock:
+            self.safety.deactivate()
+            self.loop.ending = True
+        assert self.over.wait(20)
+
+
+def test_samples_are_stamped_with_their_real_instants_and_the_run_ends_at_rest(rig):
+    begin = time.time_ns()
+    bench = Bench(rig, SimulatedRig(rig, 1, by_the_clock=True))
+    bench.until(lambda: len(bench.samples) >= 100)
+    with bench.lock:
+        bench.loop.receive_command(1, bench.loop.sequence, [5000.0], "")
+        bench.run.answered()
+    bench.until(lambda: bench.samples[-1].command[0] == 5000.0)
+    bench.end()
+    stamps = np.array([sample.stamp for sample in bench.samples])
+    sequences = np.array([sample.head.sequence for sample in bench.samples])
+    assert begin <= stamps[0]
+    assert stamps[-1] <= time.time_ns()
+    assert (np.diff(stamps) > 0).all()
+    due = begin + sequences * 2_000_000
+    assert (stamps - due > -1_000_000).all(), "no sample is taken before it is due"
+    last = bench.samples[-1]
+    assert last.head.flags & LAST
+    assert last.head.state == State.STANDBY
+    assert bench.run.error is None
+    commands = np.array([sample.command[0] for sample in bench.samples])
+    assert np.abs(np.diff(commands)).max() <= 5e6 * PERIOD
+
+
+def test_a_rig_that_stood_still_has_missed_samples_and_goes_on_in_real_time(rig):
+    class Held(SimulatedRig):
+        def exchange(self, command, table):
+            if self._samples == 50:
+                time.sleep(0.1)
+            return super().exchange(command, table)
+
+    bench = Bench(rig, Held(rig, 1, by_the_clock=True))
+    bench.until(lambda: bench.loop.sequence >= 150)
+    bench.end()
+    sequences = np.array([sample.head.sequence for sample in bench.samples])
+    gaps = np.diff(sequences) - 1
+    assert gaps[49] >= 40, "100 ms are 50 samples"
+    assert bench.loop.missed == gaps.sum()
+
+
+class Scripted:
+    """A device that does what its script says of each exchange, and keeps what it was sent."""
+
+    def __init__(self, fails) -> None:
+        self.fails, self.sent, self.safe, self.closed = fails, [], False, False
+
+    def open(self) -> None:
+        pass
+
+    def exchange(self, command, table) -> Reading:
+        self.sent.append((list(command), table))
+        time.sleep(PERIOD)
+        error = self.fails(len(self.sent))
+        if error is not None:
+            raise error
+        return Reading(np.zeros(9), time.time_ns(), 0, 0)
+
+    def make_safe(self) -> None:
+        self.safe = True
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_device_that_fails_is_a_fault_and_is_still_sent_the_way_to_rest(rig):
+    device = Scripted(lambda count: DeviceError("no packet for 10 ms") if 50 <= count < 400 else None)
+    bench = Bench(rig, device)
+    bench.until(lambda: len(bench.samples) >= 10)
+    with bench.lock:
+        bench.loop.receive_command(1, bench.loop.sequence, [5000.0], "")
+    bench.until(lambda: len(device.sent) > 420)
+    assert bench.safety.cause == "no packet for 10 ms"
+    assert bench.safety.state is State.LATCHED
+    force = np.array([command[0] for command, _ in device.sent])
+    assert force.max() == 5000.0
+    assert force[-1] == 0.0
+    assert (np.diff(force[np.argmax(force == 5000.0) :]) <= 0).all()
+    bench.end()
+    assert device.closed
+    assert not device.safe
+
+
+def test_an_error_in_the_run_makes_the_device_safe_and_is_told(rig):
+    device = Scripted(lambda count: ValueError("a mistake") if count == 20 else None)
+    bench = Bench(rig, device)
+    assert bench.over.wait(20)
+    assert str(bench.run.error) == "a mistake"
+    assert device.safe
+    assert device.closed
