@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from abrace_core.files import write_text
-from abrace_core.node import AUTOSTART, AbraceLifecycleNode, Parameter
+from abrace_core.node import AUTOSTART, AbraceLifecycleNode, Parameter, real_time
 from abrace_core.node.brace_commander import RATE_LIMIT, BraceCommander
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def page() -> str:
                 table.append(RATE_LIMIT)
             lifecycle = issubclass(found, AbraceLifecycleNode)
             if lifecycle:
-                table.append(AUTOSTART)
+                table += [*real_time.PARAMETERS, AUTOSTART]
             summary = (module.__doc__ or "").split("\n\n")[0].partition(": ")[2].replace("\n", " ")
             parts.append(f"## {name}\n")
             parts.append(f"`abrace run {package} {name}`{' (life cycle node)' if lifecycle else ''}: {summary}\n")

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import gc
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
+from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
@@ -17,6 +21,7 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from abrace_core.errors import AbraceError
+from abrace_core.node import real_time
 from abrace_core.node.conventions import AbraceNode
 from abrace_core.node.parameters import Parameter
 from abrace_core.node.threads import SWITCH_INTERVAL, TwoThreads
@@ -32,7 +37,8 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
     """A node that can move something: it does so only while active.
 
     Subclasses implement `configure`, `activate` and `deactivate`; an AbraceError in them refuses the transition. Their
-    table of parameters is without `autostart`. One that drives something overrides `come_to_rest` and `at_rest` too.
+    table of parameters is without `autostart` and those of `real_time`. One that drives something overrides
+    `come_to_rest` and `at_rest` too.
 
     It has two threads, so that nothing holds up a sample. In the main one run `tick` and the callbacks of
     subscriptions, with the `lock`. Everything else runs in a second one: services, parameters, timers, diagnostics,
@@ -50,9 +56,11 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
     _awaiting_rest = False
 
     def __init__(self, name: str, table: Sequence[Parameter], context: Context | None = None) -> None:
-        AbraceNode.__init__(self, name, [*table, AUTOSTART], context)
+        AbraceNode.__init__(self, name, [*table, *real_time.PARAMETERS, AUTOSTART], context)
         LifecycleNodeMixin.__init__(self)
         self._rest = threading.Condition(self.lock)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(real_time.GARBAGE_PERIOD, gc.collect, clock=steady)
         self.keep_endpoints()
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
@@ -64,16 +72,20 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
     @contextlib.contextmanager
     def spun(self) -> Iterator[Executor]:
         """Gives the executor that the main thread is to spin; the second thread runs until the end."""
+        processors = os.sched_getaffinity(0)
+        real_time.apply(self.parameters, self.get_logger().warning)
         executor = EventsExecutor(context=self.context)
-        self._threads = TwoThreads(self, executor, self._failed)
+        self._threads = TwoThreads(self, executor, partial(real_time.beside_the_loop, processors), self._failed)
         interval = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_INTERVAL)
+        gc.disable()
         self._threads.start()
         try:
             yield executor
         finally:
             self._threads.stop()
             self._threads = None
+            gc.enable()
             sys.setswitchinterval(interval)
 
     def _failed(self) -> None:

@@ -51,11 +51,11 @@ class TwoThreads:
         The node.
     loop
         The executor that the thread of the loop spins.
-    failed
-        Called, in the second thread, once that has ended with an `error`.
+    begin, failed
+        Called in the second thread: at its begin, and once it has ended with an `error`.
     """
 
-    def __init__(self, node: Node, loop: Executor, failed: Callable[[], None]) -> None:
+    def __init__(self, node: Node, loop: Executor, begin: Callable[[], None], failed: Callable[[], None]) -> None:
         self._node = node
         self._loop = loop
         self._other = EventsExecutor(context=node.context)
@@ -63,7 +63,7 @@ class TwoThreads:
             self._loop: _View(node, ["subscriptions"]),
             self._other: _View(node, _KINDS - {"subscriptions"}),
         }
-        self._failed = failed
+        self._begin, self._failed = begin, failed
         self._closing = Future()
         self._thread = threading.Thread(target=self._spin, name="services")
         self.error: BaseException | None = None
@@ -75,6 +75,7 @@ class TwoThreads:
 
     def _spin(self) -> None:
         try:
+            self._begin()
             while not self._closing.done():
                 self._other.spin_until_future_complete(self._closing, LONGEST_WAIT)
         except BaseException as error:  # raised by `stop`, in the main thread

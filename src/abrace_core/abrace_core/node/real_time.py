@@ -1,0 +1,89 @@
+"""What the kernel is asked for the loop's thread: a priority, processors of its own, memory that stays.
+
+As `ros2_control` names it. What the machine does not allow is a warning that says what to do: the node runs all the
+same, with the delays of an ordinary process.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import resource
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from abrace_core.errors import AbraceError
+from abrace_core.node.parameters import Parameter
+
+PARAMETERS = (
+    Parameter("thread_priority", 0, "of the loop, SCHED_FIFO; 0: an ordinary process", minimum=0, maximum=98),
+    Parameter("cpu_affinity", [], "processors that the loop keeps to, by number; empty: all", element=int, minimum=0),
+    Parameter("lock_memory", False, "keep all of the node's memory in RAM"),
+)
+
+_LIMITS = "as root: echo '@realtime - {limit}' >> /etc/security/limits.d/realtime.conf (docs/real_time.md)"
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_CAP_IPC_LOCK = 1 << 14
+
+GARBAGE_PERIOD = 60.0
+"""Seconds between collections of garbage, in the second thread: the loop makes none, what people ask for little. One
+takes 0.02 to 0.2 ms."""
+
+
+def _threads() -> Iterator[int]:
+    """Numbers of this process's threads: the caller's, and the middleware's, which bring the loop its messages."""
+    return (int(thread.name) for thread in Path("/proc/self/task").iterdir())
+
+
+def apply(given: Any, warn: Callable[[str], object]) -> None:
+    """Give all threads that there are what the parameters ask for, before the first sample.
+
+    Parameters
+    ----------
+    given
+        Has the values of PARAMETERS.
+    warn
+        Called with a line for each thing that this machine does not allow.
+
+    Raises
+    ------
+    AbraceError
+        If there is no such processor.
+    """
+    if given.cpu_affinity:
+        have = os.sched_getaffinity(0)
+        if not have.issuperset(given.cpu_affinity):
+            expected = f"out of {', '.join(map(str, sorted(have)))}"
+            raise AbraceError(f"parameter cpu_affinity: {given.cpu_affinity}, expected processors {expected}")
+        for thread in _threads():
+            os.sched_setaffinity(thread, given.cpu_affinity)
+    if given.lock_memory:
+        _lock_memory(warn)
+    if given.thread_priority:
+        try:
+            for thread in _threads():
+                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(given.thread_priority))
+        except PermissionError:
+            limit = _LIMITS.format(limit=f"rtprio {given.thread_priority}")
+            warn(f"thread_priority {given.thread_priority} is not allowed, samples may be late; {limit}")
+
+
+def _lock_memory(warn: Callable[[str], object]) -> None:
+    """Keep memory in RAM, also what is still to be had: where that is limited, the node would fail later."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    rights = int(status.partition("CapEff:")[2].split()[0], 16)
+    unlimited = rights & _CAP_IPC_LOCK or resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
+    if not unlimited or ctypes.CDLL(None).mlockall(_MCL_CURRENT | _MCL_FUTURE):
+        warn(f"lock_memory is not allowed, samples may be late; {_LIMITS.format(limit='memlock unlimited')}")
+
+
+def beside_the_loop(processors: set[int]) -> None:
+    """Make the calling thread one beside the loop: on those processors, and of the next lower priority.
+
+    Not of an ordinary one: where it holds Python's interpreter lock the loop waits for it.
+    """
+    os.sched_setaffinity(0, processors)
+    if os.sched_getscheduler(0) == os.SCHED_FIFO:
+        priority = max(1, os.sched_getparam(0).sched_priority - 1)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
