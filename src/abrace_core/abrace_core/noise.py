@@ -45,6 +45,30 @@ def banded_noise(
     AbraceError
         If an argument is outside these limits, or the band lies between two lines of the spectrum.
     """
+    spectrum, length = noise_spectrum(samples, sample_rate, band, rms, seed)
+    taper = round(TAPER * sample_rate)
+    noise = np.asarray(fft.irfft(spectrum, length), dtype=np.float64)[:samples]
+    rise = (1 - np.cos(np.pi * np.arange(taper) / max(taper, 1))) / 2
+    noise[:taper] *= rise
+    noise[samples - taper :] *= rise[::-1]
+    return noise * (rms / np.sqrt(np.mean(noise**2)))
+
+
+def noise_spectrum(
+    samples: int, sample_rate: float, band: tuple[float, float], rms: float, seed: int
+) -> tuple[NDArray[np.complex128], int]:
+    """The spectrum of Gaussian noise in a band, its amplitude any, and the samples (`samples` or more) that it is for.
+
+    Parameters
+    ----------
+    samples, sample_rate, band, rms, seed
+        As in `banded_noise`, which are checked here.
+
+    Raises
+    ------
+    AbraceError
+        As in `banded_noise`.
+    """
     low, high = band
     if not (np.isfinite(sample_rate) and sample_rate > 0):
         raise AbraceError(f"noise sample_rate {sample_rate} Hz: expected more than 0")
@@ -54,8 +78,7 @@ def banded_noise(
         raise AbraceError(f"noise rms {rms}: expected more than 0")
     if seed < 0:
         raise AbraceError(f"noise seed {seed}: expected 0 or more")
-    taper = round(TAPER * sample_rate)
-    if samples < max(2 * taper, 2):
+    if samples < max(2 * round(TAPER * sample_rate), 2):
         raise AbraceError(f"noise of {samples / sample_rate:g} s: expected at least {2 * TAPER:g} s (taper in and out)")
 
     length = fft.next_fast_len(samples, real=True)
@@ -66,8 +89,4 @@ def banded_noise(
     spectrum = np.zeros(len(frequencies), dtype=np.complex128)
     real, imaginary = np.random.default_rng(seed).standard_normal((2, len(lines)))
     spectrum[lines] = real + 1j * imaginary
-    noise = np.asarray(fft.irfft(spectrum, length), dtype=np.float64)[:samples]
-    rise = (1 - np.cos(np.pi * np.arange(taper) / max(taper, 1))) / 2
-    noise[:taper] *= rise
-    noise[samples - taper :] *= rise[::-1]
-    return noise * (rms / np.sqrt(np.mean(noise**2)))
+    return spectrum, length
