@@ -87,7 +87,7 @@ def closed_loop(values: Mapping[str, Any]) -> list[NodeSetup]:
     values
         Of the arguments `CLOSED_LOOP`.
     """
-    motion = {name: values[name] for name in ("record", "peak_acceleration", "duration")}
+    motion = {name: values[name] for name in ("rig", "record", "peak_acceleration", "duration")}
     partners = {
         "brace_command": NodeSetup("abrace_lqg", "controller", {}, (values["controller"],)),
         "ground_motion": NodeSetup("abrace_plant", "ground_motion", motion),
@@ -106,15 +106,16 @@ def identification(values: Mapping[str, Any]) -> list[NodeSetup]:
     """
     both = values["drive"] == "both"
     signal = "multisine" if both else values["signal"]
-    # a multisine must not begin at 0 Hz: the table's stroke grows with 1 / frequency^2
-    lowest = 0.3 if signal == "multisine" else 0.0
+    # the table not from 0 Hz: its displacement grows with 1 / frequency^2
+    lowest, lowest_command = (0.3, 0.3) if signal == "multisine" else (0.1, 0.0)
     drive = {"duration": values["duration"]}
     partners = {}
     if both or values["drive"] == "table":
-        motion = {"record": signal, "band": [lowest, 10.0], **drive}
+        motion = {"rig": values["rig"], "record": signal, "band": [lowest, 10.0], **drive}
         partners["ground_motion"] = NodeSetup("abrace_plant", "ground_motion", motion)
     if both or values["drive"] == "command":
-        command = {"signal": signal, "band": [lowest, 30.0], "lines": "even" if both else "odd", **drive}
+        lines = "even" if both else "odd"
+        command = {"signal": signal, "band": [lowest_command, 30.0], "lines": lines, **drive}
         partners["brace_command"] = NodeSetup("abrace_sysid", "excitation", command)
     return _test(values, partners, [partner.executable for partner in partners.values()], [])
 

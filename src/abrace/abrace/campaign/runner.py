@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,6 +39,7 @@ from abrace_core.files import write_text
 from abrace_core.linear_model import pole_table, save_model
 from abrace_core.node import DIAGNOSTICS, find_file
 from abrace_core.progress import Progress
+from abrace_plant.nodes.record_parameters import MOTION_PARAMETERS, motion_as_given
 from abrace_plant.records.files import record_file
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.published import PAPER_POLES
@@ -117,7 +119,8 @@ class _Runner:
         if test.ground_motion:
             inputs["ground_motion"] = "ground_motion"
             motion = _given(test.ground_motion)
-            nodes.append(("abrace_plant", "ground_motion", {**motion, "duration": duration, "sample_rate": rate}))
+            drive = {**motion, "rig": str(self.rig_file), "duration": duration, "sample_rate": rate}
+            nodes.append(("abrace_plant", "ground_motion", drive))
         if lockstep and not inputs:
             raise AbraceError(f"step {name}: a lockstep test without any input, expected ground motion or commands")
         topics = ["response", *inputs, DIAGNOSTICS]
@@ -316,21 +319,41 @@ def _given(drive: pydantic.BaseModel) -> dict[str, Any]:
     return {key: list(value) if isinstance(value, tuple) else value for key, value in drive.model_dump().items()}
 
 
+def _check_motions(campaign: Campaign, rig: Rig) -> None:
+    """Refuse a campaign with a ground motion that the table cannot play, before its first test."""
+    checked: list[tuple[object, float]] = []
+    for step in campaign.steps:
+        test = step.task
+        if not isinstance(test, RigTest) or test.ground_motion is None:
+            continue
+        if (test.ground_motion, test.duration) in checked:
+            continue
+        given = {row.name: row.default for row in MOTION_PARAMETERS} | _given(test.ground_motion)
+        values = SimpleNamespace(**given | {"sample_rate": rig.sample_rate})
+        try:
+            motion_as_given(values, rig.table, values.record, values.peak_acceleration, test.duration)
+        except AbraceError as error:
+            raise AbraceError(f"step {step.name}: {error}") from error
+        checked.append((test.ground_motion, test.duration))
+
+
 def run_campaign(path: Path) -> Path:
     """Run every step of a campaign file; returns the folder of its results.
 
     Raises
     ------
     AbraceError
-        If the file is wrong, a node dies or refuses, or a step fails.
+        If the file is wrong, a ground motion is more than the table has, a node dies or refuses, or a step fails.
     """
     campaign = load_campaign(path)
     rig_file = find_file(campaign.rig, "abrace_plant", "config", ".yaml", "rig").resolve()
+    rig = load_rig(rig_file)
+    _check_motions(campaign, rig)
     results = Path("results") / campaign.name
     bags = Path("bags") / campaign.name / datetime.now().strftime("%Y%m%d-%H%M%S")
     shutil.rmtree(results, ignore_errors=True)
     results.mkdir(parents=True)
-    runner = _Runner(campaign, load_rig(rig_file), rig_file, results, bags)
+    runner = _Runner(campaign, rig, rig_file, results, bags)
     progress = Progress(len(campaign.steps))
     for number, step in enumerate(campaign.steps):
         with progress.step(step.name) as shown:

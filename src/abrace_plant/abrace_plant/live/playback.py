@@ -1,16 +1,16 @@
-"""A prepared ground motion played sample by sample, with a ramp to zero when it is cancelled."""
+"""A prepared ground motion played sample by sample, with a stop to rest when it is cancelled."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
+from abrace_core.safety.table_stop import TableState, TableStop
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
-CANCEL_TIME = 0.5
-"""Seconds in which a cancelled motion ramps to zero."""
+    from abrace_core.safety.table_stop import Table
 
 
 class Playback:
@@ -22,12 +22,20 @@ class Playback:
         (samples,) [m/s^2]; its first value is the first answer.
     sample_rate
         Hz.
+    table
+        Limits of the table, within which a cancelled motion comes to rest.
+    displacement
+        Where the table rests before the motion [m].
     """
 
-    def __init__(self, motion: NDArray[np.float64], sample_rate: float) -> None:
+    def __init__(
+        self, motion: NDArray[np.float64], sample_rate: float, table: Table, displacement: float = 0.0
+    ) -> None:
         self._motion: list[float] = motion.tolist()
         self._first: int | None = None
         self._rate = sample_rate
+        self._table = table
+        self._state = TableState(1 / sample_rate, displacement)
         self.played = 0
         """Values of the motion played so far."""
         self.cancelled = False
@@ -52,18 +60,25 @@ class Playback:
         if self._first is None:
             self._first = sequence
         index = sequence - self._first
-        self.played = min(max(index + 1, self.played), len(self._motion))
+        played = min(max(index + 1, self.played), len(self._motion))
+        for acceleration in self._motion[self.played : played]:
+            self._state.update(acceleration)
+        self.played = played
         return self._motion[index] if 0 <= index < len(self._motion) else 0.0
 
+    @property
+    def displacement(self) -> float:
+        """Where the table is at the last value played, as commanded [m]."""
+        return self._state.displacement
+
     def cancel(self) -> None:
-        """Ramp from the last value to zero along a half cosine; done at once if nothing was played."""
+        """Bring the table to rest by a `TableStop`; done at once if nothing was played."""
         if self.cancelled or self.done:
             return
         self.cancelled = True
         if not self.played:
             self._motion = []
             return
-        steps = round(CANCEL_TIME * self._rate)
-        start = self._motion[self.played - 1]
-        ramp = start * (1 + np.cos(np.pi * np.arange(1, steps + 1) / steps)) / 2
-        self._motion[self.played :] = ramp.tolist()
+        state, period = self._state, 1 / self._rate
+        stop = TableStop(state.acceleration, state.velocity, state.displacement, self._table, period)
+        self._motion[self.played :] = stop.profile

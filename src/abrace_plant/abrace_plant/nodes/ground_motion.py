@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +12,14 @@ from rclpy.action.server import ServerGoalHandle
 from std_msgs.msg import Bool
 
 from abrace_core.errors import AbraceError
-from abrace_core.multisine import LINES, repeated_multisine
 from abrace_core.node import KEPT_STREAM_QOS, TRANSIENT_LOCAL_QOS, AbraceLifecycleNode, Parameter, run
-from abrace_core.noise import banded_noise
 from abrace_core.safety.sample_watch import SampleWatch
 from abrace_core.wire import Responses, pack_acceleration
 from abrace_interfaces.action import PlayGroundMotion
 from abrace_interfaces.msg import Response
 from abrace_plant.live.playback import Playback
-from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS, read_as_given, treatment_as_given
-from abrace_plant.records.treatment import prepare
+from abrace_plant.nodes.record_parameters import MOTION_PARAMETERS, motion_as_given, table_as_given
 
-WHITE_NOISE, MULTISINE = "white_noise", "multisine"
 FEEDBACK_EVERY = 50
 """Samples between feedback messages: ten a second at 500 Hz."""
 
@@ -32,13 +27,7 @@ PARAMETERS = [
     Parameter(
         "record", "", "played at once: a known name, white_noise, multisine, or a file; empty: wait for the action"
     ),
-    *RECORD_PARAMETERS,
-    Parameter("rms", 0.25, "m/s^2, of white noise or a multisine of the given duration", minimum=0.0),
-    Parameter("band", [0.0, 10.0], "Hz, of white noise or a multisine", minimum=0.0),
-    Parameter("seed", 1, "of white noise or a multisine", minimum=0),
-    Parameter("period", 32.768, "s, of a multisine; whole periods that fit in duration are played", minimum=0.01),
-    Parameter("lines", "odd", "frequency lines of a multisine; orthogonal to a command on other lines", choices=LINES),
-    Parameter("slope", 0.0, "of a multisine: power of the frequency with which amplitudes grow"),
+    *MOTION_PARAMETERS,
 ]
 
 
@@ -70,6 +59,7 @@ class GroundMotion(AbraceLifecycleNode):
         """Load the record that is played at once, create the topics and the action."""
         given = self.parameters
         self.watch = SampleWatch(1 / given.sample_rate)
+        self.table = table_as_given(given)
         self.first_motion = self.motion(given.record, given.peak_acceleration, given.duration) if given.record else None
         self.responses = Responses()
         self.publisher = self.publish_on(AccelStamped, "ground_motion", KEPT_STREAM_QOS)
@@ -86,24 +76,14 @@ class GroundMotion(AbraceLifecycleNode):
         )
 
     def motion(self, record: str, peak_acceleration: float, duration: float) -> np.ndarray:
-        """The ground motion (samples,) [m/s^2] at the rig's sample rate."""
-        given = self.parameters
-        if record not in (WHITE_NOISE, MULTISINE):
-            treatment = replace(treatment_as_given(given), peak_acceleration=peak_acceleration, duration=duration)
-            return prepare(read_as_given(record, given), given.sample_rate, treatment)
-        if duration == 0:
-            raise AbraceError(f"parameter duration: 0.0, expected the length of the {record} in seconds")
-        if len(given.band) != 2:
-            raise AbraceError(f"parameter band: {given.band}, expected two frequencies in Hz")
-        rate, band, rms, seed = given.sample_rate, (given.band[0], given.band[1]), given.rms, given.seed
-        if record == WHITE_NOISE:
-            motion = banded_noise(round(duration * rate), rate, band, rms, seed)
-        elif not band[0]:
-            expected = "a lowest frequency above 0: the table's stroke grows with 1 / frequency^2"
-            raise AbraceError(f"parameter band: {given.band} Hz of a multisine, expected {expected}")
-        else:
-            motion = repeated_multisine(duration, given.period, rate, band, rms, seed, given.lines, given.slope)
-        return motion * (peak_acceleration / np.abs(motion).max()) if peak_acceleration else motion
+        """The ground motion (samples,) [m/s^2] at the rig's sample rate, if the table can play it."""
+        at = self.playback.displacement if self.playback is not None else 0.0
+        return motion_as_given(self.parameters, self.table, record, peak_acceleration, duration, at)
+
+    def play(self, motion: np.ndarray) -> Playback:
+        """The playback of a motion from where the table is."""
+        at = self.playback.displacement if self.playback is not None else 0.0
+        return Playback(motion, self.parameters.sample_rate, self.table, at)
 
     def activate(self) -> None:
         """Answer from the next sample on, with the record of the parameters unless the table still moves."""
@@ -166,7 +146,7 @@ class GroundMotion(AbraceLifecycleNode):
             self.end_goal(self.playback)
         self.playback = None
         if self.first_motion is not None and not self.stopped:
-            self.playback = Playback(self.first_motion, self.parameters.sample_rate)
+            self.playback = self.play(self.first_motion)
 
     def on_goal(self, request: PlayGroundMotion.Goal) -> GoalResponse:
         """Accept a goal unless a motion plays or is about to."""
@@ -194,7 +174,7 @@ class GroundMotion(AbraceLifecycleNode):
             self.get_logger().error(f"play_ground_motion refused: {message}")
             self.server.notify_execute(goal, lambda goal: self.refuse(goal, message))
             return
-        self.playback = Playback(motion, self.parameters.sample_rate)
+        self.playback = self.play(motion)
         self.goal = goal
         goal.execute()
 

@@ -1,4 +1,7 @@
-"""The node `record`: intensity measures and response spectra of a record, as read and as played."""
+"""The node `record`: intensity measures and response spectra of a record, as read and as played, and the table's share.
+
+It says what `ground_motion` would refuse.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,12 @@ from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.node import AbraceNode, Parameter, run
-from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS, read_as_given, treatment_as_given
+from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS, read_as_given, table_as_given, treatment_as_given
 from abrace_plant.records.figure import Motion, record_figure
 from abrace_plant.records.intensity import STANDARD_GRAVITY, Intensity, intensity
 from abrace_plant.records.record import Record
 from abrace_plant.records.response_spectrum import response_spectrum
+from abrace_plant.records.table_motion import RECORD_REMEDIES, Demand, table_motion
 from abrace_plant.records.treatment import prepare
 
 FOLDER = Path("results/records")
@@ -36,22 +40,26 @@ class ShowRecord(AbraceNode):
     def work(self) -> None:
         """Read, treat, measure, print, draw, write."""
         given = self.parameters
+        table = table_as_given(given)
         record = read_as_given(given.record, given)
         treatment = treatment_as_given(given)
         motion = Record(record.name, 1 / given.sample_rate, prepare(record, given.sample_rate, treatment))
         if len(motion.acceleration) < 2:
             raise AbraceError(f"parameter duration: {given.duration}, expected two samples or more")
         recorded, played = ((each, intensity(each), response_spectrum(each)) for each in (record, motion))
+        demands = table_motion(motion.acceleration, given.sample_rate).demands(table)
         print(_table(recorded, played))
+        print(_demands(given.rig, demands))
         output = Path(given.output) if given.output else FOLDER / record.name
         facts = {
             "record": record.name,
             "treatment": {"sample_rate": given.sample_rate, **asdict(treatment)},
             "recorded": _facts(recorded),
             "played": _facts(played),
+            "table": {demand.name: asdict(demand) | {"exceeded": demand.exceeded} for demand in demands},
         }
         write_text(output / "record.json", json.dumps(facts, indent=1))
-        save_figure(record_figure(recorded, played), output / "record.png")
+        save_figure(record_figure(recorded, played, demands), output / "record.png")
         print(f"wrote {output}")
 
 
@@ -61,6 +69,18 @@ def _table(recorded: Motion, played: Motion) -> str:
     lines = [f"{recorded[0].name:<24}{'as read':>12}{'as played':>12}"]
     lines += [f"{name:<24}{value:12.4f}{columns[1][name]:12.4f}" for name, value in columns[0].items()]
     return "\n".join(lines)
+
+
+def _demands(rig: str, demands: list[Demand]) -> str:
+    """What the played motion asks of the table beside what it has, and whether it would be refused."""
+    lines = [f"\n{'table of ' + rig:<32}{'asked':>12}{'at [s]':>10}{'has':>12}"]
+    for demand in demands:
+        lines.append(
+            f"{demand.name + ' [' + demand.unit + ']':<32}{demand.value:12.4g}{demand.time:10.3f}{demand.limit:12.4g}"
+        )
+    beyond = [demand for demand in demands if demand.exceeded]
+    lines += [f"refused for its {demand.name}: expected {RECORD_REMEDIES[demand.name]}" for demand in beyond]
+    return "\n".join(lines if beyond else [*lines, "the table can play it"])
 
 
 def _rows(record: Record, measures: Intensity) -> dict[str, float]:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from abrace_plant.records.intensity import Intensity
     from abrace_plant.records.record import Record
     from abrace_plant.records.response_spectrum import ResponseSpectrum
+    from abrace_plant.records.table_motion import Demand
 
 RECORDED: dict[str, Any] = {"color": MEASURED, "lw": 1.5}
 PLAYED: dict[str, Any] = {"color": SIMULATED, "lw": 0.8}
@@ -31,13 +32,15 @@ Motion = tuple["Record", "Intensity", "ResponseSpectrum"]
 """A motion with its measures and spectra."""
 
 
-def record_figure(recorded: Motion, played: Motion) -> Figure:
+def record_figure(recorded: Motion, played: Motion, demands: Sequence[Demand] = ()) -> Figure:
     """A record and the motion that is played of it, in one figure.
 
     Parameters
     ----------
     recorded, played
         Each a record, its intensity measures and its response spectra.
+    demands
+        What the played motion asks of a table: its peaks of velocity and displacement stand beside the table's limits.
     """
     figure = Figure(figsize=(13.0, 9.6), layout="constrained")
     grid = figure.add_gridspec(12, 2, width_ratios=(1.45, 1))
@@ -54,6 +57,11 @@ def record_figure(recorded: Motion, played: Motion) -> Figure:
     for axis, name in zip(histories, names, strict=True):
         axis.set_ylabel(name)
     _in_g(first)
+    for axis, quantity in zip(histories[1:3], ("velocity", "displacement"), strict=True):
+        for demand in (one for one in demands if one.name == quantity):
+            label = f"as played: {100 * demand.value:.3g}, the table has {100 * demand.limit:.3g}"
+            axis.lines[-1].set_label(label)
+            axis.legend(handles=[axis.lines[-1]], loc="lower right")
     for share in SIGNIFICANT:
         histories[-1].axhline(100 * share, color=REFERENCE, lw=0.8, ls="--")
     histories[-1].legend(loc="lower right")

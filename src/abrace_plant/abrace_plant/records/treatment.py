@@ -29,7 +29,7 @@ STOPBAND = 100.0
 RESAMPLING_STOPBAND = 105.0
 """The same where the limit is half the lower sample rate, at which images of the highest frequencies add up."""
 FADE = 0.5
-"""Seconds of the cosine taper at the end of a motion that is cut."""
+"""Seconds at the end of a motion that is cut, in which it comes to rest."""
 MAX_RATIO = 5000
 """Greatest denominator of the ratio of the two sample rates."""
 BASELINES = {"none": 0, "constant": 1, "linear": 2, "quadratic": 3}
@@ -66,8 +66,8 @@ class Treatment:
         Greatest absolute value of the whole treated motion [m/s^2], met exactly, before a longer motion is cut; 0: as
         recorded.
     duration
-        [s]; a shorter motion is followed by zeros, a longer one is cut and fades out over its last 0.5 s. 0: the
-        whole record.
+        [s]; a shorter motion is followed by zeros, a longer one is cut and comes to rest (acceleration and
+        velocity zero) over its last 0.5 s. 0: the whole record.
     """
 
     baseline: str = "none"
@@ -150,6 +150,9 @@ def prepare(record: Record, sample_rate: float, treatment: Treatment | None = No
         motion = motion[:samples]
         fall = min(round(FADE * sample_rate), samples)
         motion[samples - fall :] *= (1 + np.cos(np.pi * np.arange(1, fall + 1) / max(fall, 1))) / 2
+        # the velocity that the fade leaves goes out in the same time: the motion ends at rest
+        bump = 1 - np.cos(2 * np.pi * np.arange(1, fall + 1) / fall)
+        motion[samples - fall :] -= motion.sum() / max(bump.sum(), 1.0) * bump
     return motion
 
 

@@ -10,9 +10,10 @@ import pydantic
 
 from abrace_core.config_file import Checked, read_config
 from abrace_core.errors import AbraceError
+from abrace_core.safety.table_stop import Table
 from abrace_plant.rig.actuator import Actuator
 from abrace_plant.rig.building import Building, modal_damping, rayleigh_damping, shear_stiffness, stiffness_of_modes
-from abrace_plant.rig.model import BraceGroup, LocalMode, Rig, Table
+from abrace_plant.rig.model import BraceGroup, LocalMode, Rig
 from abrace_plant.rig.plausibility import Number, check_units
 from abrace_plant.rig.sensors import Sensor, SensorSet
 
@@ -40,6 +41,8 @@ DampingRatio = Annotated[float, pydantic.Field(gt=0, lt=1)]
 class _Table(Checked):
     peak_acceleration: Positive
     peak_jerk: Positive
+    peak_velocity: Positive
+    peak_displacement: Positive
 
 
 class _Modes(Checked):

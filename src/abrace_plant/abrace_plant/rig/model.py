@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from abrace_core.safety.table_stop import Table
     from abrace_plant.rig.actuator import Actuator
     from abrace_plant.rig.building import Building
     from abrace_plant.rig.sensors import SensorSet
@@ -89,22 +90,6 @@ class LocalMode:
     mass: float
     brace_share: tuple[float, ...]
     accelerometer_share: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Table:
-    """Limits of the shake table.
-
-    Parameters
-    ----------
-    peak_acceleration
-        [m/s^2].
-    peak_jerk
-        Greatest rate of the acceleration [m/s^3].
-    """
-
-    peak_acceleration: float
-    peak_jerk: float
 
 
 @dataclass(frozen=True)

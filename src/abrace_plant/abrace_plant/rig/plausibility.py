@@ -181,6 +181,15 @@ def _table(rig: Rig) -> Iterator[_Rule]:
     jerk = Number("table.peak_jerk", rig.table.peak_jerk, "m/s^3")
     ratio, below = jerk.value / peak.value, replace(peak, power=-1.0)
     yield _Rule(ratio, 5.0, 5000.0, "{} 1/s times table.peak_acceleration", (jerk, below))
+    velocity = Number("table.peak_velocity", rig.table.peak_velocity, "m/s")
+    stroke = Number("table.peak_displacement", rig.table.peak_displacement, "m")
+    yield _Rule(velocity.value, 0.03, 10.0, "", (velocity,))
+    yield _Rule(stroke.value / height, 0.005, 2.0, "{} times the storey's height", (stroke,))
+    # the frequency from which the velocity limits the motion, and that up to which it does
+    hertz = velocity.value / stroke.value / (2 * np.pi)
+    yield _Rule(hertz, 0.05, 20.0, "over 2 pi peak_displacement {} Hz", (velocity, replace(stroke, power=-1.0)))
+    hertz = peak.value / velocity.value / (2 * np.pi)
+    yield _Rule(hertz, 0.1, 60.0, "peak_acceleration over 2 pi times it {} Hz", (replace(velocity, power=-1.0), peak))
 
 
 def _building(

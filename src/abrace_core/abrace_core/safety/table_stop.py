@@ -1,0 +1,215 @@
+"""A shake table's limits, its velocity and displacement sample by sample, and the stop that brings it to rest.
+
+The table's acceleration is linear between samples, as in the simulated rig: over a sample period T in which it goes
+from a to b, the velocity v changes by T (a + b) / 2 and the displacement by T v + T^2 (2 a + b) / 6.
+
+A stop is a half cosine from the acceleration that it begins with to zero, plus a raised cosine that takes the velocity
+out; the sum of both over the samples is exact for any number of them. It lasts 0.5 s unless a limit of the table asks
+for another time: longer where the velocity is high (at most 3.06 s), shorter where the stroke ends. Where no such stop
+keeps within all limits it is the one of the least time: down to the greatest deceleration A at the greatest jerk J,
+held, and back. That takes at most |v| / A + 2 (|a| + A) / J.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+RAMP_TIME = 0.5
+"""Seconds of a stop, where the table's limits allow."""
+LONGEST = 3.06
+"""Seconds that a stop takes at most, unless even one of the least time takes longer."""
+MARGIN = 0.99
+"""Share of the table's limits that a stop uses, but for one of the least time."""
+
+_POWERS = sorted(range(-34, 20), key=abs)
+_TIMES = RAMP_TIME * 1.1 ** np.array(_POWERS, dtype=np.float64)
+"""(times,) from 0.02 to 3.06 s, tried in this order: the nearest to 0.5 s first [s]."""
+_SHARE = np.linspace(0, 1, 65)
+_RISE, _BUMP = (1 + np.cos(np.pi * _SHARE)) / 2, (1 - np.cos(2 * np.pi * _SHARE)) / 2
+"""Half cosine and raised cosine over a stop; the integral of each is 1/2."""
+_SLOPES = -np.pi / 2 * np.sin(np.pi * _SHARE), np.pi * np.sin(2 * np.pi * _SHARE)
+_INTEGRALS = (
+    _SHARE / 2 + np.sin(np.pi * _SHARE) / (2 * np.pi),
+    _SHARE / 2 - np.sin(2 * np.pi * _SHARE) / (4 * np.pi),
+)
+_SECOND_INTEGRALS = (
+    _SHARE**2 / 4 + (1 - np.cos(np.pi * _SHARE)) / (2 * np.pi**2),
+    _SHARE**2 / 4 - (1 - np.cos(2 * np.pi * _SHARE)) / (8 * np.pi**2),
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Limits of the shake table.
+
+    Parameters
+    ----------
+    peak_acceleration
+        [m/s^2].
+    peak_jerk
+        Greatest rate of the acceleration [m/s^3].
+    peak_velocity
+        [m/s].
+    peak_displacement
+        Stroke to each side of the middle [m].
+    """
+
+    peak_acceleration: float
+    peak_jerk: float
+    peak_velocity: float
+    peak_displacement: float
+
+
+class TableState:
+    """Acceleration, velocity and displacement of a table, from the accelerations that it is given.
+
+    Parameters
+    ----------
+    period
+        Between two samples [s].
+    displacement
+        Where it rests at first [m].
+
+    Attributes
+    ----------
+    acceleration, velocity, displacement
+        At the last sample [m/s^2, m/s, m].
+    """
+
+    __slots__ = ("_period", "acceleration", "displacement", "velocity")
+
+    def __init__(self, period: float, displacement: float = 0.0) -> None:
+        self._period = period
+        self.acceleration = 0.0
+        self.velocity = 0.0
+        self.displacement = displacement
+
+    def update(self, acceleration: float) -> None:
+        """Go on to the next sample, at which the table has this `acceleration` [m/s^2]."""
+        period, last = self._period, self.acceleration
+        self.displacement += period * (self.velocity + period / 6 * (2 * last + acceleration))
+        self.velocity += period / 2 * (last + acceleration)
+        self.acceleration = acceleration
+
+
+class TableStop:
+    """The accelerations that bring a table to rest, one for each sample.
+
+    Parameters
+    ----------
+    acceleration, velocity, displacement
+        Of the table at the last sample [m/s^2, m/s, m].
+    limits
+        Of the table. Acceleration and jerk are never exceeded by a stop that begins within them.
+    period
+        Between two samples [s].
+
+    Attributes
+    ----------
+    within_stroke
+        Whether the table stays within its stroke; if not, no stop within its limits does.
+    displacement
+        Where the table comes to rest [m].
+    profile
+        The accelerations, in order [m/s^2]; the last is zero. None where the table rests already.
+    """
+
+    def __init__(self, acceleration: float, velocity: float, displacement: float, limits: Table, period: float) -> None:
+        profile = np.zeros(0)
+        if acceleration or velocity:
+            samples = _gentle(acceleration, velocity, displacement, limits, period)
+            if samples:
+                profile = _blend(acceleration, velocity, samples, period)
+            else:
+                profile = _least_time(acceleration, velocity, limits, period)
+        self.profile: list[float] = profile.tolist()
+        state = TableState(period, displacement)
+        state.acceleration, state.velocity = acceleration, velocity
+        most = abs(displacement)
+        for value in self.profile:
+            state.update(value)
+            most = max(most, abs(state.displacement))
+        self.within_stroke = most <= limits.peak_displacement
+        self.displacement = state.displacement
+        self._next = 0
+
+    @property
+    def done(self) -> bool:
+        """Whether the table is at rest."""
+        return self._next >= len(self.profile)
+
+    def next(self) -> float:
+        """The acceleration of the next sample [m/s^2]; zero when the table is at rest."""
+        if self.done:
+            return 0.0
+        self._next += 1
+        return self.profile[self._next - 1]
+
+
+def _gentle(acceleration: float, velocity: float, displacement: float, limits: Table, period: float) -> int:
+    """Samples of the smooth stop that keeps within the limits and is nearest to 0.5 s; 0: there is none."""
+    times = period * np.maximum(np.round(_TIMES / period), 2)[:, None]
+    bump = -(2 * velocity / times + acceleration)
+    accelerations = acceleration * _RISE + bump * _BUMP
+    jerks = (acceleration * _SLOPES[0] + bump * _SLOPES[1]) / times
+    velocities = velocity + times * (acceleration * _INTEGRALS[0] + bump * _INTEGRALS[1])
+    displacements = (
+        displacement
+        + times * velocity * _SHARE
+        + times**2 * (acceleration * _SECOND_INTEGRALS[0] + bump * _SECOND_INTEGRALS[1])
+    )
+    unavoidable = abs(velocity) + acceleration**2 / limits.peak_jerk
+    fits = np.ones(len(times), dtype=np.bool_)
+    for values, limit, now in (
+        (accelerations, limits.peak_acceleration, abs(acceleration)),
+        (jerks, limits.peak_jerk, 0.0),
+        (velocities, limits.peak_velocity, unavoidable),
+        (displacements, limits.peak_displacement, abs(displacement)),
+    ):
+        fits &= np.abs(values).max(axis=1) <= max(MARGIN * limit, now)
+    return round(float(times[int(np.argmax(fits)), 0]) / period) if fits.any() else 0
+
+
+def _blend(acceleration: float, velocity: float, samples: int, period: float) -> NDArray[np.float64]:
+    """The smooth stop of so many samples."""
+    share = np.arange(1, samples + 1) / samples
+    bump = -(2 * velocity / (samples * period) + acceleration)
+    profile = acceleration * (1 + np.cos(np.pi * share)) / 2 + bump * (1 - np.cos(2 * np.pi * share)) / 2
+    profile[-1] = 0.0
+    return np.asarray(profile, dtype=np.float64)
+
+
+def _least_time(acceleration: float, velocity: float, limits: Table, period: float) -> NDArray[np.float64]:
+    """The stop of the least time: a ramp to the greatest deceleration that is needed, held, and a ramp to zero.
+
+    The least time would have its corners between samples: each part gets whole samples, and the deceleration that
+    then takes the velocity out exactly.
+    """
+    most, jerk = limits.peak_acceleration, limits.peak_jerk
+    # by the sign of the velocity that is left if the acceleration is taken back at once
+    sign = math.copysign(1.0, velocity + acceleration * abs(acceleration) / (2 * jerk))
+    now, left = sign * acceleration, sign * velocity
+    peak = min(most, math.sqrt(max(jerk * left + now**2 / 2, 0.0)))
+    held = max(0.0, (left + now**2 / (2 * jerk) - peak**2 / jerk) / peak) if peak else 0.0
+    step = jerk * period
+    down, hold, up = math.ceil(abs(now + peak) / step) or 1, math.ceil(held / period), math.ceil(peak / step) or 1
+
+    def deceleration() -> float:
+        return (left / period + down * now / 2) / (down / 2 + hold + up / 2)
+
+    while abs(now + (peak := deceleration())) > down * step:
+        down += 1
+    while abs(peak) > most or abs(peak) > up * step or abs(now + peak) > down * step:
+        up, hold = (up + 1, hold) if abs(peak) > up * step else (up, hold + 1)
+        down += abs(now + peak) > down * step
+        peak = deceleration()
+    first = now - (now + peak) * np.arange(1, down + 1) / down
+    last = -peak * (1 - np.arange(1, up + 1) / up)
+    return np.asarray(sign * np.concatenate([first, np.full(hold, -peak), last]), dtype=np.float64)
