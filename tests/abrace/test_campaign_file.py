@@ -29,7 +29,7 @@ def test_the_demo_campaign_is_the_paper_from_end_to_end():
     el_centro = Record(record="el_centro", peak_acceleration=0.980665)
     assert {step.name: step.task for step in campaign.steps} == {
         "table_noise": RigTest(
-            duration=240.0, ground_motion=WhiteNoise(record="white_noise", rms=0.25, band=(0.0, 10.0), seed=1)
+            duration=240.0, ground_motion=WhiteNoise(record="white_noise", rms=0.25, band=(0.1, 10.0), seed=1)
         ),
         "command_noise": RigTest(duration=240.0, excitation=ExcitationNoise(rms=1800.0, band=(0.0, 30.0), seed=2)),
         "model": Identify(table=("table_noise",), command=("command_noise",)),
@@ -115,7 +115,7 @@ MISTAKES = [
     ("seed: 1}", "seed: 1.0}", r"steps.0.test.ground_motion.white_noise.seed: 1.0, expected .*integer"),
     ("seed: 1}", "seed: -1}", r"steps.0.test.ground_motion.white_noise.seed: -1, expected"),
     (", seed: 1}", "}", r"steps.0.test.ground_motion.white_noise.seed: key is missing"),
-    ("[0.0, 10.0]", "[10.0, 0.0]", r"ground_motion.white_noise.band: \[10.0, 0.0\], expected .*the lower one first"),
+    ("[0.1, 10.0]", "[10.0, 0.1]", r"ground_motion.white_noise.band: \[10.0, 0.1\], expected .*the lower one first"),
     ("[0.0, 30.0]", "[0.0]", "steps.1.test.excitation.white_noise.band.1: key is missing"),
     ("rms: 1800.0", "rms: -1.0", "steps.1.test.excitation.white_noise.rms: -1.0, expected"),
     (
@@ -124,8 +124,8 @@ MISTAKES = [
         "steps.0.test.ground_motion.record.rms: unknown key",
     ),
     (
-        "{record: white_noise, rms: 0.25",
-        "{record: multisine, rms: 0.25",
+        "{record: white_noise, rms: 0.25, band: [0.1",
+        "{record: multisine, rms: 0.25, band: [0.0",
         "steps.0.test.ground_motion.multisine: .*expected .*begins above 0 Hz",
     ),
     (

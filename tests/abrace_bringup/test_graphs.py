@@ -80,6 +80,16 @@ def test_an_identification_test_waits_for_the_signals_that_drive_it(tmp_path, dr
     assert all(found[name].parameters["duration"] == 60.0 for name in partners)
 
 
+def test_the_table_is_that_of_the_rig_and_its_noise_does_not_begin_at_0_hz(tmp_path, controller):
+    for found in (
+        nodes(IDENTIFICATION, identification, tmp_path, drive="table", rig="five_storey"),
+        nodes(CLOSED_LOOP, closed_loop, tmp_path, controller=controller, rig="five_storey"),
+    ):
+        assert found["ground_motion"].parameters["rig"] == found["plant"].parameters["rig"] == "five_storey"
+    found = nodes(IDENTIFICATION, identification, tmp_path, drive="table")
+    assert found["ground_motion"].parameters["band"] == [0.1, 10.0]
+
+
 def test_multisines_do_not_begin_at_0_hz_and_both_have_lines_of_their_own(tmp_path):
     found = nodes(IDENTIFICATION, identification, tmp_path, drive="both")
     assert found["ground_motion"].parameters["record"] == found["excitation"].parameters["signal"] == "multisine"

@@ -80,6 +80,8 @@ def similar(length: float, density: float, acceleration: float) -> dict[str, Any
         "sample_rate": 1 / time,
         "table.peak_acceleration": acceleration,
         "table.peak_jerk": acceleration / time,
+        "table.peak_velocity": length / time,
+        "table.peak_displacement": length,
         "building.storey_height": length,
         "building.masses": mass,
         "building.stiffness": force / length,

@@ -3,55 +3,75 @@
 import numpy as np
 import pytest
 
-from abrace_plant.live.playback import CANCEL_TIME, Playback
+from abrace_core.safety.table_stop import Table
+from abrace_plant.live.playback import Playback
+from abrace_plant.records.files import read_record
+from abrace_plant.records.intensity import integrate
+from abrace_plant.records.treatment import Treatment, prepare
 
 MOTION = np.array([0.5, -1.0, 2.0, 0.25])
+TABLE = Table(10.0, 2000.0, 1.0, 0.25)
 
 
 def test_the_motion_is_played_value_by_value_and_then_rests():
-    playback = Playback(MOTION, 500.0)
+    playback = Playback(MOTION, 500.0, TABLE)
     assert [playback.answer(k) for k in range(100, 106)] == [*MOTION, 0.0, 0.0]
     assert playback.done
     assert playback.played == 4
 
 
 def test_a_lost_sample_does_not_shift_the_motion():
-    playback = Playback(MOTION, 500.0)
+    playback = Playback(MOTION, 500.0, TABLE)
     playback.answer(7)
     assert playback.answer(9) == MOTION[2]
     assert playback.played == 3
 
 
 def test_elapsed_and_duration_are_seconds():
-    playback = Playback(np.ones(1000), 500.0)
+    playback = Playback(np.ones(1000), 500.0, TABLE)
     playback.answer(0)
     playback.answer(249)
     assert (playback.elapsed, playback.duration) == (0.5, 2.0)
 
 
-def test_a_cancelled_motion_goes_smoothly_to_zero_from_where_it_is():
-    playback = Playback(np.full(5000, 3.0), 500.0)
-    for k in range(100):
-        playback.answer(k)
+@pytest.mark.parametrize("second", [2.1, 2.5, 4.4, 12.3, 25.0])
+def test_a_stop_in_el_centro_ends_at_zero_velocity_within_the_stroke(second):
+    """Of the record at 0.8 g, whose velocity goes up to 0.88 m/s and its displacement to 0.247 m."""
+    motion = prepare(read_record("el_centro"), 500.0, Treatment(peak_acceleration=7.845))
+    playback = Playback(motion, 500.0, TABLE)
+    played = [playback.answer(k) for k in range(round(500 * second))]
     playback.cancel()
-    steps = round(CANCEL_TIME * 500)
-    ramp = np.array([playback.answer(100 + k) for k in range(steps)])
-    assert ramp[-1] == pytest.approx(0.0, abs=1e-12)
-    assert (np.diff(np.concatenate([[3.0], ramp])) <= 0).all()
-    assert np.abs(np.diff(ramp)).max() <= 3.0 * np.pi / 2 / steps * 1.01
-    assert playback.done
-    assert playback.answer(100 + steps) == 0.0
+    assert playback.cancelled
+    while not playback.done:
+        played.append(playback.answer(len(played)))
+    assert len(played) - 500 * second <= 250
+    assert playback.answer(len(played)) == 0.0
+    velocity, displacement = integrate(np.array([0.0, *played]), 0.002)
+    assert abs(velocity[-1]) < 1e-12
+    assert played[-1] == 0.0
+    assert np.abs(displacement).max() <= TABLE.peak_displacement
+    assert np.abs(np.diff(played)).max() / 0.002 <= TABLE.peak_jerk
+    assert playback.displacement == pytest.approx(displacement[-1], abs=1e-12)
+
+
+def test_the_next_motion_begins_where_the_table_is():
+    playback = Playback(MOTION, 500.0, TABLE, displacement=0.1)
+    assert playback.displacement == 0.1
+    for k in (0, 3):
+        playback.answer(k)
+    _, displacement = integrate(np.array([0.0, *MOTION]), 0.002)
+    assert playback.displacement == pytest.approx(0.1 + displacement[-1], abs=1e-15), "lost samples are moved as well"
 
 
 def test_cancelling_before_the_first_value_plays_nothing():
-    playback = Playback(MOTION, 500.0)
+    playback = Playback(MOTION, 500.0, TABLE)
     playback.cancel()
     assert playback.done
     assert playback.answer(0) == 0.0
 
 
 def test_cancelling_twice_or_after_the_end_changes_nothing():
-    playback = Playback(MOTION, 500.0)
+    playback = Playback(MOTION, 500.0, TABLE)
     for k in range(4):
         playback.answer(k)
     playback.cancel()

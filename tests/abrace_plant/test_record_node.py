@@ -46,6 +46,25 @@ def test_el_centro_is_measured_as_read_and_as_played_and_drawn(tmp_path):
     assert rows["PGA [m/s^2]"] == [f"{measures.peak_acceleration:.4f}", "0.9807"]
     assert rows["Arias intensity [m/s]"][0] == f"{measures.arias_intensity:.4f}"
     assert rows["duration [s]"][0] == "53.7200"
+    assert "the table can play it" in ended.stdout
+    played = facts["table"]
+    assert played["displacement"]["value"] == pytest.approx(facts["played"]["peak_displacement"], rel=1e-3)
+    assert (played["displacement"]["limit"], played["velocity"]["limit"]) == (0.25, 1.0)
+    assert not any(demand["exceeded"] for demand in played.values())
+
+
+def test_what_the_table_has_not_is_told_with_what_to_do_and_the_rest_is_shown_all_the_same(tmp_path):
+    ended = run_record(tmp_path, record="el_centro", peak_acceleration=30.0)
+    assert ended.returncode == 0, ended.stderr
+    told = [line for line in ended.stdout.splitlines() if line.startswith("refused for its ")]
+    assert [line.partition(":")[0].removeprefix("refused for its ") for line in told] == [
+        "acceleration",
+        "velocity",
+        "displacement",
+    ]
+    facts = json.loads((tmp_path / "results/records/el_centro/record.json").read_text())
+    beyond = facts["table"]["acceleration"]
+    assert (beyond["value"], beyond["limit"], beyond["exceeded"]) == (30.0, 10.0, True)
 
 
 @pytest.mark.parametrize(
@@ -55,6 +74,8 @@ def test_el_centro_is_measured_as_read_and_as_played_and_drawn(tmp_path):
         ({"record": "el_centro", "taper": 30.0}, "record: ground motion el_centro: taper 30 s, expected at most half"),
         ({"record": "el_centro", "baseline": "cubic"}, "record: parameter baseline: 'cubic', expected a text out of"),
         ({"record": "still.txt", "unit": "g"}, "record: ground motion still.txt: no times in the file"),
+        ({"record": "el_centro", "rig": "none"}, "record: rig 'none': unknown, expected a file ending in .yaml"),
+        ({"record": "el_centro", "sample_rate": 200.0}, "record: parameter sample_rate: 200.0, expected 500.0, as the"),
         ({}, "record: parameter record: not given, expected -p record:=text: a known name or a file"),
     ],
     ids=lambda value: "" if isinstance(value, str) else " ".join(value),

@@ -6,10 +6,11 @@ import pytest
 from scipy import linalg
 
 from abrace_core.linear_model import pole_table
+from abrace_core.safety.table_stop import Table
 from abrace_plant.rig.actuator import Actuator
 from abrace_plant.rig.building import Building, modal_damping
 from abrace_plant.rig.file import load_rig
-from abrace_plant.rig.model import BraceGroup, LocalMode, Rig, Table
+from abrace_plant.rig.model import BraceGroup, LocalMode, Rig
 from abrace_plant.rig.sensors import Sensor, SensorSet
 
 RIG = load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml")
@@ -30,7 +31,7 @@ def single_storey(**brace: float) -> Rig:
     actuator = Actuator(**(changes | {key: value for key, value in brace.items() if key in changes}))
     group = BraceGroup(1, 1, 0.8, brace.get("stiffener_stiffness", 0.0), actuator)
     building = Building(np.array([MASS]), np.array([[MASS * OMEGA**2]]), np.array([[2 * ZETA * OMEGA * MASS]]))
-    return Rig("single", 500.0, Table(10.0, 2000.0), building, (group,), (), SensorSet(*[SENSOR] * 5))
+    return Rig("single", 500.0, Table(10.0, 2000.0, 1.0, 0.25), building, (group,), (), SensorSet(*[SENSOR] * 5))
 
 
 def zeros(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float) -> np.ndarray:

@@ -401,7 +401,8 @@ def rigs(draw: st.DrawFn) -> dict[str, Any]:
         }
         for _ in range(draw(st.integers(0, 2)))
     ]
-    peak, push = some(3.0, 30.0), max(group["actuator"]["capacity"] for group in braces)
+    peak, stroke_time = some(3.0, 30.0), some(0.1, 0.4)
+    speed, push = peak * some(0.02, 0.3), max(group["actuator"]["capacity"] for group in braces)
     stroke = max(group["actuator"]["stroke_limit"] for group in braces)
     ranges = {
         "displacement": some(0.01, 0.3) * height,
@@ -413,7 +414,12 @@ def rigs(draw: st.DrawFn) -> dict[str, Any]:
     return {
         "name": "any",
         "sample_rate": float(np.clip(some(2.0, 20.0) * 2 * (30 * first + 3 * frequencies[-1]) / np.pi, 50.0, 2e4)),
-        "table": {"peak_acceleration": peak, "peak_jerk": some(30.0, 1000.0) * peak},
+        "table": {
+            "peak_acceleration": peak,
+            "peak_jerk": some(30.0, 1000.0) * peak,
+            "peak_velocity": speed,
+            "peak_displacement": float(np.clip(speed * stroke_time, 0.02 * height, 1.5 * height)),
+        },
         "building": building,
         "braces": braces,
         "local_modes": local,

@@ -6,11 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from abrace_core.safety.table_stop import Table
 from abrace_core.simulation import simulate
 from abrace_plant.rig.actuator import Actuator
 from abrace_plant.rig.building import Building
 from abrace_plant.rig.file import load_rig
-from abrace_plant.rig.model import BraceGroup, Rig, Table
+from abrace_plant.rig.model import BraceGroup, Rig
 from abrace_plant.rig.motion import RigMotion
 from abrace_plant.rig.sensors import Sensor, SensorSet
 
@@ -39,7 +40,7 @@ def two_groups() -> Rig:
     return Rig(
         "two",
         500.0,
-        Table(10.0, 2000.0),
+        Table(10.0, 2000.0, 1.0, 0.25),
         Building(masses, stiffness, 1e-3 * stiffness),
         (BraceGroup(1, 2, 0.8, 1e5, first), BraceGroup(3, 1, 0.7, 0.0, second)),
         (),

@@ -14,7 +14,7 @@ from domain_coordinator import domain_id
 from abrace.processes.group import find_executable
 from abrace_bags import read_facts, read_run, read_topics
 
-NOISE = "{record: white_noise, rms: 0.25, band: [0.0, 10.0], seed: 1}"
+NOISE = "{record: white_noise, rms: 0.25, band: [0.1, 10.0], seed: 1}"
 
 
 @pytest.fixture
@@ -96,7 +96,7 @@ def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_list
 
 
 def test_multisines_on_table_and_command_at_once_give_a_model(tmp_path, environment):
-    both = """{duration: 66.0,
+    both = """{duration: 73.0,
       ground_motion: {record: multisine, rms: 0.25, band: [0.3, 10.0], seed: 1, period: 16.384},
       excitation: {signal: multisine, rms: 1800.0, band: [0.3, 30.0], seed: 1, period: 16.384, lines: even}}"""
     path = campaign(
@@ -164,6 +164,10 @@ def test_a_campaign_that_is_killed_leaves_no_process(tmp_path, environment):
     ("step", "message"),
     [
         ("{name: a, test: {duration: 4.0, ground_motion: {record: nowhere.at2}}}", "nowhere.at2"),
+        (
+            "{name: b, test: {duration: 9.0, ground_motion: {record: el_centro, peak_acceleration: 30.0}}}",
+            "step b: ground motion el_centro is more than the table has: acceleration 30 m/s^2 at 2.178 s",
+        ),
         ("{name: a, test: {duration: 4.0, controller: nowhere.yaml}}", "controller file nowhere.yaml"),
         ("{name: a, test: {duration: 4.0}}", "lockstep test without any input"),
         ("{name: a, tost: {duration: 4.0}}", "tost: unknown key"),

@@ -17,6 +17,7 @@ from abrace_core.controller_file import Controller, save_controller
 from abrace_core.linear_model import LinearModel
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_lqg.control_law import ControlLaw
+from abrace_plant.records.intensity import integrate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -228,16 +229,18 @@ def test_the_emergency_stop_holds_until_rig_and_commander_are_cleared(graph):
 
 def test_a_deactivated_table_comes_smoothly_to_rest(graph):
     motion = graph.listen(AccelStamped, "ground_motion")
-    graph.start("ground_motion", record="white_noise", duration=60.0, rms=0.5)
+    graph.start("ground_motion", record="white_noise", duration=60.0, rms=0.5, band=[0.3, 10.0])
     graph.until(lambda: motion and abs(motion[-1].accel.linear.x) > 0.2, "the table to move")
     assert graph.change_state("ground_motion", "deactivate")
     graph.until(lambda: not motion[-1].accel.linear.x, "the table to come to rest")
     until_samples(graph, 100)
     acceleration = np.array([message.accel.linear.x for message in motion])
     assert stamp(graph.responses[-1]) - stamp(motion[-1]) > 80 * PERIOD, "no more accelerations"
-    ramp = np.abs(acceleration[-RAMP_SAMPLES:])
-    assert ramp[-1] == 0.0
-    assert ramp[0] > 0
-    assert (np.diff(ramp) < 0).all(), "it only falls, for 0.5 s"
-    assert np.abs(np.diff(acceleration)).max() < 0.1, "smoothly throughout"
+    assert acceleration[-1] == 0.0
+    velocity, displacement = integrate(np.array([0.0, *acceleration]), 0.002)
+    assert np.abs(velocity).max() > 0.01, "it moved"
+    # a sample that is lost on a busy machine is missing in the sum
+    assert abs(velocity[-1]) < 1e-3, "and is at rest"
+    assert np.abs(displacement).max() < 0.25
+    assert np.abs(np.diff(acceleration)).max() < 0.15, "smoothly throughout"
     graph.until_well("plant")

@@ -1,4 +1,7 @@
-"""Banded white noise: the excitation of table and braces in the identification tests (Figs. 3 to 5 of the paper)."""
+"""Banded white noise: the excitation of table and braces in the identification tests (Figs. 3 to 5 of the paper).
+
+The table's, which has to begin and end at rest, is made of it in `table_signals`.
+"""
 
 from __future__ import annotations
 

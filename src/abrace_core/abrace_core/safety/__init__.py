@@ -1,1 +1,1 @@
-"""Limits and faults: the guard that every command passes, and the checks of the samples that it answers."""
+"""Limits and faults: the guard that every command passes, checks of the samples that it answers, the table's stop."""

@@ -130,14 +130,12 @@ class TableStop:
             else:
                 profile = _least_time(acceleration, velocity, limits, period)
         self.profile: list[float] = profile.tolist()
-        state = TableState(period, displacement)
-        state.acceleration, state.velocity = acceleration, velocity
-        most = abs(displacement)
-        for value in self.profile:
-            state.update(value)
-            most = max(most, abs(state.displacement))
-        self.within_stroke = most <= limits.peak_displacement
-        self.displacement = state.displacement
+        begin, end = np.concatenate([[acceleration], profile[:-1]])[: len(profile)], profile
+        velocities = velocity + np.cumsum(period / 2 * (begin + end))
+        before = np.concatenate([[velocity], velocities[:-1]])[: len(profile)]
+        path = displacement + np.cumsum(period * before + period**2 / 6 * (2 * begin + end))
+        self.displacement = float(path[-1]) if len(path) else displacement
+        self.within_stroke = bool(np.abs(path).max(initial=abs(displacement)) <= limits.peak_displacement)
         self._next = 0
 
     @property

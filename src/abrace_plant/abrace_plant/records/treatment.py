@@ -1,7 +1,7 @@
 """A record made ready for the table: corrected, scaled in time, filtered, resampled to the rig's rate, scaled to a PGA.
 
 The paper plays El Centro for 100 s and Kobe for 60 s, both at 0.1 g. White noise for the table comes from
-`abrace_core.noise.banded_noise`.
+`abrace_core.table_signals`.
 """
 
 from __future__ import annotations
