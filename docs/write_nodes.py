@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from abrace_core.files import write_text
 from abrace_core.node import AUTOSTART, AbraceLifecycleNode, Parameter, real_time
 from abrace_core.node.brace_commander import RATE_LIMIT, BraceCommander
+from abrace_plant.nodes.rig_node import RIG_PARAMETERS, RigNode
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -36,9 +37,10 @@ with `use_sim_time` take it by `-r /clock:=/rig/clock`; for one rig alone, give 
 
 NODES = {
     "abrace_plant": {
-        "plant": "Takes `brace_command`, `ground_motion`, `emergency_stop`; publishes `response`, `joint_states`, "
+        "plant": "Takes `brace_command`, `ground_motion`, `emergency_stop`, `/emergency_stop`; publishes `response`, `joint_states`, "
         "`robot_description`, in lockstep `clock` (rosgraph_msgs/Clock). Service `~/clear_fault` (std_srvs/Trigger).",
-        "ground_motion": "Takes `response`, `emergency_stop`; publishes `ground_motion`. Action `play_ground_motion`.",
+        "ground_motion": "Takes `response`; publishes `ground_motion`. Action `play_ground_motion`, service "
+        "`~/clear_fault`.",
         "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",
         "robot_description": "Offline: prints a rig's robot description (URDF).",
         "characterize": "Offline: a rig measured as the paper measured its building, in numbers and drawn.",
@@ -51,7 +53,7 @@ NODES = {
         "recover": "Offline: says what is missing, topic by topic: bags.md.",
     },
     "abrace_sysid": {
-        "excitation": "Takes `response`, `emergency_stop`; publishes `brace_command`. Service `~/clear_fault`.",
+        "excitation": "Takes `response`; publishes `brace_command`. Service `~/clear_fault`.",
         "identify": "Offline: two bags to models, poles and figures.",
         "validate": "Offline: a bag against its simulation by a model.",
     },
@@ -61,7 +63,7 @@ NODES = {
     },
     "abrace_lqg": {
         "design": "Offline: a model and weights to a controller file.",
-        "controller": "Takes `response`, `emergency_stop`; publishes `brace_command`. Service `~/clear_fault`. Its "
+        "controller": "Takes `response`; publishes `brace_command`. Service `~/clear_fault`. Its "
         "parameters are a controller file that `design` wrote.",
         "explore": "Offline: many weight sets tried on an ensemble of records; any of them becomes a controller.",
     },
@@ -98,6 +100,8 @@ def page() -> str:
             module = importlib.import_module(f"{package}.nodes.{name}")
             found = node_class(module)
             table = list(module.PARAMETERS)
+            if issubclass(found, RigNode):
+                table = [*RIG_PARAMETERS, *table]
             if issubclass(found, BraceCommander):
                 table.append(RATE_LIMIT)
             lifecycle = issubclass(found, AbraceLifecycleNode)

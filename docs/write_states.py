@@ -11,8 +11,8 @@ PAGE = Path(__file__).parent / "states.md"
 
 INTRODUCTION = f"""# What may act: the states of a rig
 
-Written by `python docs/write_states.py` from the table that decides, `abrace_core.safety.rig_safety.TRANSITIONS`; a test
-walks every state with every event.
+Written by `python docs/write_states.py` from the table that decides, `abrace_core.safety.rig_safety.TRANSITIONS`; a
+test walks every state with every event.
 
 One state holds for braces and table together. The rig decides it, simulated or behind the bridge, and every `response`
 says it (`state`), with the first cause (`cause`) and what was limited (`flags`). Whoever commands has the same machine

@@ -62,9 +62,18 @@ def test_a_state_that_it_does_not_know_lets_nothing_act(answering):
     assert answering.held == "the rig is in state 99"
 
 
+def test_samples_lost_before_anything_was_sent_are_no_fault_and_it_begins_anew(answering):
+    receive(answering, 5)
+    answering.safety.act([[0.0]])
+    assert receive(answering, 50) == RESTART
+    assert answering.watch.missing == 44
+    assert not answering.safety.cause
+
+
 def test_lost_samples_are_a_latched_fault_of_its_own(answering):
     receive(answering, 5)
-    receive(answering, 50)
+    answering.safety.act([[500.0]])
+    assert receive(answering, 50) == 44
     assert "44 samples lost" in answering.safety.cause
     assert answering.safety.state is State.RAMPING_DOWN
     answering.safety.deactivate()

@@ -31,9 +31,11 @@ def table_of(package: str, executable: str) -> dict[str, Parameter]:
     return dict.fromkeys(re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE))
 
 
-def test_the_page_of_nodes_is_what_the_nodes_declare():
-    assert (ROOT / "docs/nodes.md").read_text() == module_from(ROOT / "docs/write_nodes.py").page(), (
-        "docs/nodes.md is out of date: run python docs/write_nodes.py"
+@pytest.mark.parametrize("name", ["nodes", "states"])
+def test_pages_made_from_the_code_are_what_it_says(name):
+    written = module_from(ROOT / f"docs/write_{name}.py").page()
+    assert (ROOT / f"docs/{name}.md").read_text() == written, (
+        f"docs/{name}.md is out of date: run python docs/write_{name}.py"
     )
 
 

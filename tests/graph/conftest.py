@@ -50,6 +50,7 @@ PACKAGES = {
     "controller": "abrace_lqg",
     "supervisor": "abrace",
 }
+STREAMING = ("plant", "ground_motion", "excitation", "controller")
 TRANSITIONS = {
     "configure": Transition.TRANSITION_CONFIGURE,
     "activate": Transition.TRANSITION_ACTIVATE,
@@ -72,6 +73,8 @@ class Graph:
         self.executor = SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
         self.started: dict[str, NodeProcess] = {}
+        self.by_the_clock = False
+        """Whether the nodes that stream are started with a priority that keeps other tests from holding them up."""
         self.may_end: set[str] = set()
         """Names of nodes that may end while we wait."""
         self._clients: dict[str, Client] = {}
@@ -94,6 +97,8 @@ class Graph:
     ) -> NodeProcess:
         """Start a node with parameters and further ROS arguments; `name` where it is to be called otherwise."""
         name = name or executable
+        if self.by_the_clock and executable in STREAMING:
+            parameters = {"thread_priority": 50, **parameters}
         command = [find_executable(PACKAGES[executable], executable), "--ros-args", "-r", f"__ns:={self.namespace}"]
         if name != executable:
             command += ["-r", f"__node:={name}"]

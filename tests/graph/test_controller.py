@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
@@ -36,12 +38,13 @@ class Rig:
         self.graph = graph
         self.commands = graph.listen(BraceCommand, "brace_command")
         self.publisher = graph.publisher(Response, "response")
-        self.sequence = 0
+        self.run, self.sequence, self.state = 1, 0, Response.RUNNING
 
     def send(self, a1: float, lost: int = 0) -> float:
         """Send the next sample, after so many that are lost; returns the force that answers it."""
         self.sequence += 1 + lost
-        sample = Response(sequence=self.sequence, displacement=[0.0] * 3, acceleration=[a1, 0.0, 0.0])
+        sample = Response(run=self.run, sequence=self.sequence, state=self.state, flags=Response.LOCKSTEP)
+        sample.displacement, sample.acceleration = [0.0] * 3, [a1, 0.0, 0.0]
         sample.stroke = sample.force = sample.command = [0.0]
         nanoseconds = self.sequence * PERIOD
         sample.header.stamp.sec, sample.header.stamp.nanosec = divmod(nanoseconds, 10**9)
@@ -81,17 +84,47 @@ def set_next(graph: Any, path: Path | str) -> Any:
     return graph.call(SetParameters, "controller/set_parameters", request).results[0]
 
 
-def test_the_force_ramps_in_and_a_deactivated_one_comes_back_from_where_it_is(rig: Rig):
+def test_the_force_ramps_in_and_is_at_zero_before_the_controller_is_inactive(rig: Rig):
     found = rig.hold(1.0, STEPS + 20)
     assert np.abs(np.diff(found)).max() < 1.01 * STEEPEST * 1000.0
     np.testing.assert_allclose(found[-10:], 1000.0)
-    assert rig.graph.change_state("controller", "deactivate")
-    falling = rig.hold(1.0, STEPS // 2)
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
+    inactive = rig.graph.ask(ChangeState, "controller/change_state", request)
+    falling = [1000.0]
+    while falling[-1]:
+        assert not inactive.done()
+        falling.append(rig.send(1.0))
+    rig.graph.until(inactive.done, "the controller to be inactive")
+    assert inactive.result().success
     assert rig.graph.change_state("controller", "activate")
     rising = rig.hold(1.0, STEPS + 20)
-    assert 400.0 < falling[-1] < 600.0
-    assert np.abs(np.diff([*found[-1:], *falling, *rising])).max() < 1.01 * STEEPEST * 1000.0
+    assert np.abs(np.diff([*falling, *rising])).max() < 1.01 * STEEPEST * 1000.0
     np.testing.assert_allclose(rising[-10:], 1000.0)
+
+
+def test_while_the_rig_is_stopped_nothing_is_asked_for_and_then_the_force_fades_in(rig: Rig):
+    rig.hold(1.0, STEPS + 20)
+    for state in (Response.RAMPING_DOWN, Response.LATCHED, Response.PROTECTIVE_STOP):
+        rig.state = state
+        assert not rig.hold(1.0, 5).any()
+    rig.state = Response.RUNNING
+    rising = rig.hold(1.0, STEPS + 20)
+    assert np.abs(np.diff([0.0, *rising])).max() < 1.01 * STEEPEST * 1000.0
+    np.testing.assert_allclose(rising[-10:], 1000.0)
+    rig.graph.until_well("controller")
+
+
+def test_old_and_repeated_samples_are_not_answered_and_change_nothing(rig: Rig):
+    rig.hold(1.0, STEPS + 20)
+    count = len(rig.commands)
+    for sequence in (rig.sequence, rig.sequence - 10, 0):
+        old = Response(run=rig.run, sequence=sequence, state=Response.RUNNING, flags=Response.LOCKSTEP)
+        old.displacement, old.acceleration = [0.0] * 3, [1.0, 0.0, 0.0]
+        old.stroke = old.force = old.command = [0.0]
+        rig.publisher.publish(old)
+    assert rig.send(1.0) == pytest.approx(1000.0), "without a jump"
+    assert len(rig.commands) == count + 1
+    rig.graph.until(lambda: rig.graph.values("controller").get("old") == "3", "3 old samples in the diagnostics")
 
 
 def test_another_controller_takes_over_without_a_jump(rig: Rig, files: dict[str, Path]):
@@ -134,6 +167,7 @@ def test_a_few_lost_samples_are_bridged_and_more_are_a_fault_that_a_person_clear
     rig.graph.until_fault("controller", "6 samples lost before sample")
     assert np.abs(np.diff([1000.0, *falling])).max() < 1.01 * STEEPEST * 1000.0
     assert falling[-1] == 0.0
+    assert "6 samples lost before sample" in rig.commands[-1].fault, "the rig is told"
     assert rig.graph.clear_fault("controller").success
     rising = rig.hold(1.0, STEPS + 20)
     assert np.abs(np.diff([0.0, *rising])).max() < 1.01 * STEEPEST * 1000.0, "it begins anew, from zero"
@@ -145,7 +179,7 @@ def test_saturations_are_counted_and_a_rig_that_begins_anew_is_answered_from_zer
     values = rig.graph.values
     rig.graph.until(lambda: int(values("controller").get("saturations", 0)) > 10, "saturations in the diagnostics")
     assert rig.send(30.0) == LIMIT[0]
-    rig.sequence = -1
+    rig.run, rig.sequence = 2, -1
     assert abs(rig.send(30.0)) < 100.0
 
 

@@ -31,7 +31,7 @@ def test_two_rigs_in_two_namespaces_do_not_disturb_each_other(new_graph, new_com
         expect_simulated_time(first, hands[0])
         press = first.emergency_stop()
         press(True)
-        first.until_fault("plant", "emergency stop")
+        first.until_fault("plant", f"protective stop: pressed by {first.namespace}/test")
         second.until_well("plant")
         assert hands[0].responses[0].displacement != hands[1].responses[0].displacement, "noise of their own"
         expect_told_apart(faulty=first, well=second)
@@ -69,7 +69,8 @@ def expect_told_apart(faulty, well):
 
 
 def test_topics_can_be_remapped(graph):
-    graph.start("plant", "-r", "response:=measured", "-r", "brace_command:=wanted", command_timeout=0.5)
+    graph.by_the_clock = True
+    graph.start("plant", "-r", "response:=measured", "-r", "brace_command:=wanted")
     graph.start("excitation", "-r", "response:=measured", "-r", "brace_command:=wanted", duration=60.0)
     measured = graph.listen(Response, "measured")
     graph.until(lambda: measured and measured[-1].command[0], "a command in force")

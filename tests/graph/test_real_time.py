@@ -1,11 +1,12 @@
 """The rig by the clock: stamps, the controller in the loop, braces and table left alone by those who drove them.
 
-Commands may stay away for 0.5 s here, not 0.02 s: Fast DDS 2.14 can hold up a node that publishes for 333 ms when
-another one joins (it looks whether the other's shared memory is alive), and the machine may be busy with other tests.
+The loops run with a real-time priority, where that is allowed: the machine is busy with other tests.
 """
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -17,14 +18,13 @@ from abrace_core.controller_file import Controller, save_controller
 from abrace_core.linear_model import LinearModel
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_lqg.control_law import ControlLaw
-from abrace_plant.records.intensity import integrate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
 PERIOD = 2_000_000
-TIMEOUT = 0.5
+TIMEOUT = 0.02
 RAMP_SAMPLES = 250
 RATE_STEP = 5.0e6 / 500
 DRIVEN = {"rms": 5000.0, "duration": 60.0}
@@ -38,7 +38,8 @@ def stamp(message: Any) -> int:
 def rig(new_graph: Callable) -> Iterator[Any]:
     """One plant in real time for all of these tests."""
     with new_graph() as graph:
-        graph.start("plant", command_timeout=TIMEOUT)
+        graph.by_the_clock = True
+        graph.start("plant")
         yield graph
 
 
@@ -62,8 +63,6 @@ def graph(rig: Any) -> Iterator[Any]:
 
 def commands(graph: Any) -> np.ndarray:
     """(samples,) [N], in force until each sample."""
-    sequences = np.array([response.sequence for response in graph.responses], dtype=np.int64)
-    assert (np.diff(sequences) == 1).all(), "no sample is missing"
     return np.array([response.command[0] for response in graph.responses])
 
 
@@ -93,13 +92,18 @@ def expect_smooth_end(command: np.ndarray) -> None:
     assert (np.diff(np.abs(command)) <= 0).all(), "it only falls"
 
 
-def test_stamps_are_2_ms_apart_and_the_building_is_at_rest(graph):
+def test_stamps_are_the_real_instants_and_the_building_is_at_rest(graph):
     until_samples(graph, 750)
     responses = graph.responses
-    sequences = [response.sequence for response in responses]
-    assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
-    assert set(np.diff([stamp(response) for response in responses])) == {PERIOD}
-    assert abs(stamp(responses[-1]) - time.time_ns()) < 5e9, "stamps are wall-clock time"
+    sequences = np.array([response.sequence for response in responses], dtype=np.int64)
+    assert (np.diff(sequences) > 0).all()
+    stamps = np.array([stamp(response) for response in responses])
+    lateness = stamps - sequences * PERIOD
+    assert len(set(np.diff(stamps))) > 10, "no clockwork is as even as what is computed"
+    assert np.median(lateness - lateness.min()) < PERIOD, "the clock of the samples is the wall clock"
+    assert abs(stamps[-1] - time.time_ns()) < 5e9
+    assert {response.run for response in responses} == {responses[0].run}
+    assert {response.state for response in responses} == {Response.RUNNING}
     displacement = np.array([response.displacement for response in responses])
     assert np.abs(displacement).max() < 6 * 5.6e-5 + 0.1 / 2**15, "sensor noise alone"
     assert np.abs(displacement.mean(axis=0)).max() < 6 * 5.6e-5 / np.sqrt(len(responses))
@@ -126,7 +130,11 @@ def test_a_killed_commander_is_a_fault_and_the_force_goes_smoothly_to_zero(graph
     answered = len(graph.commands)
     graph.until(lambda: len(graph.commands) > answered + 500, "new commands")
     assert not graph.responses[-1].command[0], "the fault is latched"
-    assert graph.clear_fault("plant").success
+    assert not any(answer.force[0] for answer in graph.commands[answered:]), "and nothing is asked for"
+    assert graph.values("excitation").get("signal") == "cancelled", "it does not begin by itself when that is cleared"
+    graph.until(lambda: graph.clear_fault("plant").success, "the rig to be cleared")
+    for transition in ("deactivate", "activate"):
+        assert graph.change_state("excitation", transition)
     until_driven(graph)
 
 
@@ -135,6 +143,8 @@ def test_two_commanders_at_once_are_a_fault(graph):
     until_driven(graph)
     graph.start("excitation", name="second", seed=9, **DRIVEN)
     graph.until_fault("plant", "two messages on brace_command")
+    graph.until(lambda: graph.values("second").get("signal") == "cancelled", "the second to be told")
+    graph.until(lambda: graph.values("excitation").get("signal") == "cancelled", "the first to be told")
     graph.until(lambda: not graph.responses[-1].command[0], "the force to go to zero")
     command = commands(graph)
     last = np.flatnonzero(command)[-1]
@@ -193,7 +203,7 @@ def test_a_deactivated_commander_lets_go_smoothly_and_falls_silent(graph, contro
         until_driven(graph)
     before = len(graph.commands)
     assert graph.change_state(name, "deactivate")
-    graph.until(lambda: not graph.commands[-1].force[0], "the force to go to zero")
+    assert graph.commands[-1].force[0] == 0.0, "inactive means at zero"
     until_samples(graph, 100)
     force = np.array([command.force[0] for command in graph.commands])
     last = graph.commands[-1]
@@ -208,39 +218,90 @@ def test_a_deactivated_commander_lets_go_smoothly_and_falls_silent(graph, contro
     graph.until(lambda: len(graph.commands) > len(force) + 10, "commands after activation")
 
 
-def test_the_emergency_stop_holds_until_rig_and_commander_are_cleared(graph):
+@pytest.mark.parametrize("name", ["excitation", "plant"])
+def test_after_a_signal_the_force_goes_to_zero_before_the_node_ends(new_graph, name):
+    with new_graph() as graph:
+        graph.by_the_clock = True
+        graph.responses = graph.listen(Response, "response")
+        graph.commands = graph.listen(BraceCommand, "brace_command")
+        graph.start("plant")
+        graph.start("excitation", **DRIVEN)
+        until_driven(graph)
+        begin = len(graph.responses)
+        assert graph.stop(name) == 0
+        graph.until(lambda: not graph.responses[-1].command[0], "the force to go to zero")
+        command = np.array([response.command[0] for response in graph.responses[begin:]])
+        assert np.abs(np.diff(command)).max() <= RATE_STEP
+        assert command[-1] == 0.0
+        last = np.flatnonzero(command)[-1]
+        ramp = command[last - RAMP_SAMPLES + 10 : last + 1]
+        assert (np.diff(np.abs(ramp)) < 0).all(), "along the ramp"
+        if name == "plant":
+            assert graph.responses[-1].flags & Response.LAST
+            assert graph.responses[-1].state == Response.STANDBY
+        else:
+            graph.until_well("plant")
+
+
+def test_a_stop_is_obeyed_by_all_and_the_signal_does_not_begin_again_by_itself(graph):
+    motion = graph.listen(AccelStamped, "ground_motion")
     graph.start("excitation", **DRIVEN)
+    graph.start("ground_motion", record="white_noise", duration=60.0, rms=0.5)
     until_driven(graph)
+    graph.until(lambda: motion and abs(motion[-1].accel.linear.x) > 0.2, "the table to move")
     press = graph.emergency_stop()
     press(True)
-    for name in ("plant", "excitation"):
-        graph.until_fault(name, "emergency stop")
-    assert not graph.clear_fault("excitation").success, "the button is still pressed"
+    graph.until_fault("plant", "protective stop: pressed by")
+    graph.until(lambda: graph.responses[-1].state == Response.PROTECTIVE_STOP, "all to be at rest")
+    assert not graph.clear_fault("plant").success, "the button is still pressed"
+    assert not graph.responses[-1].command[0]
     press(False)
-    graph.until(
-        lambda: not graph.responses[-1].command[0] and not graph.commands[-1].force[0], "both ramps to reach zero"
-    )
+    graph.until(lambda: graph.responses[-1].state == Response.LATCHED, "the release")
     graph.until(lambda: graph.clear_fault("plant").success, "the rig to be cleared")
+    graph.until(lambda: graph.responses[-1].state == Response.RUNNING, "the fade to end")
     until_samples(graph, 100)
-    assert not commands(graph)[-100:].any(), "the commander is latched by itself"
-    graph.until(lambda: graph.clear_fault("excitation").success, "the commander to be cleared")
+    assert not commands(graph)[-100:].any()
+    assert not any(message.accel.linear.x for message in motion[-100:])
+    for name in ("excitation", "ground_motion"):
+        graph.until_well(name)
+        assert "cancelled: protective stop: pressed by" in graph.statuses[name].message
+    for transition in ("deactivate", "activate"):
+        assert graph.change_state("excitation", transition)
     until_driven(graph)
+
+
+def test_a_rig_that_stands_still_is_a_fault_for_all_who_command_it(graph):
+    graph.start("excitation", **DRIVEN)
+    until_driven(graph)
+    plant = graph.started["plant"].group
+    os.kill(plant, signal.SIGSTOP)
+    graph.until_fault("excitation", "no response for more than 0.1 s")
+    os.kill(plant, signal.SIGCONT)
+    graph.until_fault("plant", "samples missed before sample")
+    graph.until(lambda: graph.responses[-1].state == Response.LATCHED, "all to be at rest")
+    stamps = np.array([stamp(response) for response in graph.responses])
+    sequences = np.array([response.sequence for response in graph.responses], dtype=np.int64)
+    held = int(np.argmax(np.diff(stamps)))
+    assert np.diff(stamps)[held] > 0.1e9
+    assert abs((sequences[held + 1] - sequences[held]) * PERIOD - np.diff(stamps)[held]) < 0.05e9, "none is hidden"
+    assert np.abs(np.diff(commands(graph)[held + 1 :])).max() <= RATE_STEP
+    refused = graph.clear_fault("plant")
+    assert not refused.success
+    assert "its sender reports a fault: no response" in refused.message
+    assert graph.clear_fault("excitation").success
+    graph.until(lambda: graph.clear_fault("plant").success, "the rig to be cleared")
 
 
 def test_a_deactivated_table_comes_smoothly_to_rest(graph):
     motion = graph.listen(AccelStamped, "ground_motion")
-    graph.start("ground_motion", record="white_noise", duration=60.0, rms=0.5, band=[0.3, 10.0])
+    graph.start("ground_motion", record="white_noise", duration=60.0, rms=0.5)
     graph.until(lambda: motion and abs(motion[-1].accel.linear.x) > 0.2, "the table to move")
     assert graph.change_state("ground_motion", "deactivate")
-    graph.until(lambda: not motion[-1].accel.linear.x, "the table to come to rest")
+    graph.until(lambda: motion[-1].accel.linear.x == 0.0, "its last acceleration")
     until_samples(graph, 100)
     acceleration = np.array([message.accel.linear.x for message in motion])
     assert stamp(graph.responses[-1]) - stamp(motion[-1]) > 80 * PERIOD, "no more accelerations"
-    assert acceleration[-1] == 0.0
-    velocity, displacement = integrate(np.array([0.0, *acceleration]), 0.002)
-    assert np.abs(velocity).max() > 0.01, "it moved"
-    # a sample that is lost on a busy machine is missing in the sum
-    assert abs(velocity[-1]) < 1e-3, "and is at rest"
-    assert np.abs(displacement).max() < 0.25
-    assert np.abs(np.diff(acceleration)).max() < 0.15, "smoothly throughout"
+    velocity = (acceleration.sum() - acceleration[0] / 2) * PERIOD * 1e-9
+    assert abs(velocity) < 1e-3, "the table does not coast"
+    assert np.abs(np.diff(acceleration)).max() < 0.5, "smoothly throughout"
     graph.until_well("plant")

@@ -47,7 +47,7 @@ class Bench:
         assert np.abs(force[-20:]).max() < 0.1 * PUSH, "what is left is the building moving the actuator"
 
     def expect_latched_until_cleared(self, reason: str) -> None:
-        """The fault is reported and told by every sample, stays, and goes by clear_fault alone, with nothing commanded."""
+        """The fault is reported and told by every sample, stays, and is cleared while nothing is commanded alone."""
         self.graph.until_fault("plant", reason)
         self.hand.hold(PUSH, 20)
         assert not self.hand.commands[-20:].any()

@@ -1,7 +1,7 @@
 """The base of every node that answers samples of the rig: with forces for the braces, or accelerations for the table.
 
-It does what both have in common: old samples are dropped, the rig's stops obeyed, its silence noticed, and faults of the
-node's own latched until a person clears them.
+It does what both have in common: old samples are dropped, the rig's stops obeyed, its silence noticed, and faults of
+the node's own latched until a person clears them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a node makes of each sample that it answers: drops old ones, holds still while the rig is stopped, begins anew."""
+"""What a node makes of each sample that it answers: it drops old ones, and holds still while the rig is stopped."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from abrace_core.safety.sample_watch import LONGEST_GAP, NEW_RUN, OLD, SampleWat
 from abrace_core.wire import LAST, LOCKSTEP
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from abrace_core.safety.rig_safety import Output
     from abrace_core.wire import Head
@@ -47,9 +47,28 @@ class Answering:
         self._heard: float | None = None
         self._last = -math.inf
 
-    def configure(self, outputs: Sequence[Output], sample_period: float, longest_gap: int = LONGEST_GAP) -> None:
-        """Send these `outputs`, sampled with a period [s]; more than `longest_gap` samples lost in a row are a fault."""
+    def configure(
+        self,
+        outputs: Sequence[Output],
+        sample_period: float,
+        longest_gap: int = LONGEST_GAP,
+        moving: Callable[[], bool] | None = None,
+    ) -> None:
+        """Be ready to answer.
+
+        Parameters
+        ----------
+        outputs
+            What is sent.
+        sample_period
+            [s].
+        longest_gap
+            More lost samples in a row than these are a fault, while something is sent that is not zero.
+        moving
+            Whether something is; None: as the outputs have it.
+        """
         self.safety.configure(outputs, sample_period)
+        self._moving = moving or (lambda: any(any(output.value) for output in outputs))
         self.watch = SampleWatch(sample_period, longest_gap)
 
     def activate(self) -> None:
@@ -87,7 +106,7 @@ class Answering:
             return DROP
         self._last = now
         self._heard = None if head.flags & (LOCKSTEP | LAST) else now
-        if self.watch.problem:
+        if self.watch.problem and self._moving():
             self.safety.fault(self.watch.problem)
         self.cause = cause
         if head.state not in ACTING:
@@ -96,7 +115,7 @@ class Answering:
             return HOLD
         if lost == NEW_RUN:
             self.safety.rest()
-        elif not self.held:
+        elif not self.held and (not self.watch.problem or self.safety.cause):
             return lost
         self.held = ""
         return RESTART

@@ -118,7 +118,7 @@ class RigLoop:
     command_timeout
         Seconds without a command or ground acceleration, while it is not zero, that are no fault yet.
     late_limit
-        Samples in a row that may be late or missed.
+        Samples in a row that may be late or missed while something acts.
     run
         Number of the run.
     lockstep
@@ -216,11 +216,16 @@ class RigLoop:
         self.missed += reading.missed
         self.late += reading.late
         self._late_in_a_row = self._late_in_a_row + 1 if reading.late else 0
-        if reading.missed > self._late_limit:
-            self._safety.fault(f"the rig was held up: {reading.missed} samples missed before sample {self.sequence}")
+        if any(any(output.value) for output in self._safety.outputs):
+            self._look_for_delays(reading.missed)
+        return self._sample(reading)
+
+    def _look_for_delays(self, missed: int) -> None:
+        """While something acts, a rig that is held up is a fault."""
+        if missed > self._late_limit:
+            self._safety.fault(f"the rig was held up: {missed} samples missed before sample {self.sequence}")
         elif self._late_in_a_row > self._late_limit:
             self._safety.fault(f"{self._late_in_a_row} samples in a row were taken late, up to sample {self.sequence}")
-        return self._sample(reading)
 
     def _sample(self, reading: Reading) -> Sample:
         safety, flags = self._safety, self._flags

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from abrace_plant.live.loop import RigLoop, Sample
 
 ANSWER_SHARE = 0.8
-"""Share of the sample period for which the commands that answer a sample are waited for; later ones act a sample later."""
+"""Share of the sample period for which answers to a sample are waited for; later ones act a sample later."""
 
 
 class RealTimeRun(threading.Thread):

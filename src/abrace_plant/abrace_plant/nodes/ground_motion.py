@@ -61,7 +61,7 @@ class GroundMotion(Commander):
         self.table = table_as_given(given)
         self.first_motion = self.motion(given.record, given.peak_acceleration, given.duration) if given.record else None
         self.cancelled = ""
-        self.answering.configure([], 1 / given.sample_rate)
+        self.answering.configure([], 1 / given.sample_rate, moving=self.moving)
         self.publisher = self.publish_on(AccelStamped, "ground_motion", KEPT_STREAM_QOS)
         self.server = PlayServer(
             self,
@@ -78,6 +78,10 @@ class GroundMotion(Commander):
         """The ground motion (samples,) [m/s^2] at the rig's sample rate, if the table can play it."""
         at = self.playback.displacement if self.playback is not None else 0.0
         return motion_as_given(self.parameters, self.table, record, peak_acceleration, duration, at)
+
+    def moving(self) -> bool:
+        """Whether the table moves."""
+        return self.playback is not None and self.playback.played > 0 and not self.playback.done
 
     def play(self, motion: np.ndarray) -> Playback:
         """The playback of a motion from where the table is."""
