@@ -1,0 +1,69 @@
+"""What a rig is made of: a device that takes one command and gives one reading at every tick of its hardware."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+class DeviceError(AbraceError):
+    """The hardware does not do its part: the message says which device, what was missing, and for how long."""
+
+
+class Reading(NamedTuple):
+    """What a device measured at one tick."""
+
+    values: NDArray[np.float64]
+    """(channels,) in SI units, calibrated: [displacements, strokes, accelerations, forces, ground acceleration]."""
+    stamp: int
+    """Sampling instant by the wall clock [ns]."""
+    clipped: int
+    """Bit i is set where channel i is at the end of its range."""
+    missed: int
+    """Ticks of the hardware since the last reading that were not answered in time."""
+
+
+class Device(Protocol):
+    """The hardware of a rig. One thread calls all of it."""
+
+    def open(self) -> None:
+        """Connect; the device does not move yet.
+
+        Raises
+        ------
+        AbraceError
+            If it is not there.
+        """
+        ...
+
+    def exchange(self, command: Sequence[float], table: float) -> Reading:
+        """Send a command and wait for the hardware's next tick.
+
+        Parameters
+        ----------
+        command
+            (groups,) force of one brace of each group [N].
+        table
+            The table's acceleration [m/s^2].
+
+        Raises
+        ------
+        DeviceError
+            If the device fails or does not answer in time.
+        """
+        ...
+
+    def make_safe(self) -> None:
+        """Bring force to zero and the table to rest, as far as it is in the device's hand; raises nothing."""
+        ...
+
+    def close(self) -> None:
+        """Disconnect."""
+        ...
