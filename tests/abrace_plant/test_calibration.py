@@ -122,7 +122,10 @@ def test_only_the_named_channels_are_zeroed():
     ("raw", "message"),
     [
         (np.full((500, 2), [3.0, 0.0]), "zeroing: x1 reads 0.0275 m, expected at most 0.01"),
-        (np.outer(np.sin(np.arange(500)), [1.0, 0.0]), "zeroing: x1 is not at rest (0.0707 m, expected at most 0.001)"),
+        (
+            np.outer(np.sin(np.arange(500)), [1.0, 0.0]),
+            "zeroing: x1 is not at rest (0.00707 m, expected at most 0.001)",
+        ),
         (np.outer(np.linspace(0, 0.9, 500), [0.0, 1.0]), "a1 is not at rest"),
     ],
 )

@@ -90,13 +90,13 @@ def ours() -> Packet:
 def test_a_packet_with_a_value_that_is_not_finite_is_malformed(channel, value):
     layout, values = ours(), [1.0] * len(CHANNELS)
     values[channel] = value
-    with pytest.raises(Malformed, match="^not_finite$"):
+    with pytest.raises(Malformed, match=r"^not_finite$"):
         layout.decode(layout.encode(values, 1))
 
 
 def test_infinities_of_either_sign_do_not_cancel():
     layout = ours()
-    with pytest.raises(Malformed, match="^not_finite$"):
+    with pytest.raises(Malformed, match=r"^not_finite$"):
         layout.decode(layout.encode([math.inf, -math.inf, *[0.0] * (len(CHANNELS) - 2)], 1))
 
 
@@ -106,20 +106,20 @@ def test_every_single_inverted_bit_is_found():
     for bit in range(8 * len(good)):
         changed = bytearray(good)
         changed[bit // 8] ^= 1 << bit % 8
-        with pytest.raises(Malformed, match="^wrong_crc$"):
+        with pytest.raises(Malformed, match=r"^wrong_crc$"):
             layout.decode(bytes(changed))
 
 
 @pytest.mark.parametrize("length", [0, 1, 95, 97, 1500])
 def test_a_packet_of_another_length_is_malformed(length):
-    with pytest.raises(Malformed, match="^wrong_length$"):
+    with pytest.raises(Malformed, match=r"^wrong_length$"):
         ours().decode(bytes(length))
 
 
 def test_a_packet_of_another_layout_of_the_same_length_is_malformed():
     layout = ours()
     good = layout.encode([1.0] * len(CHANNELS), 1)
-    with pytest.raises(Malformed, match="^wrong_constant$"):
+    with pytest.raises(Malformed, match=r"^wrong_constant$"):
         layout.decode(layout.sign(b"\0" + good[1:]))
 
 
@@ -128,7 +128,7 @@ def test_a_time_beyond_all_clocks_is_malformed():
         "[{field: counter, type: uint8}, {field: time, type: float64, unit: s}, {field: w, type: float64}]", ("w",)
     )
     for time in (1e300, -1e300, 9.3e9):
-        with pytest.raises(Malformed, match="^wrong_time$"):
+        with pytest.raises(Malformed, match=r"^wrong_time$"):
             layout.decode(struct.pack("<Bdd", 1, time, 0.0))
 
 

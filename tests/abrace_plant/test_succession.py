@@ -13,7 +13,7 @@ PERIOD = 2_000_000
 def begun(counter: int = 0, modulus: int = 2**32) -> Succession:
     """One whose last packet was `counter`."""
     order = Succession(modulus, PERIOD)
-    with pytest.raises(Malformed, match="^first$"):
+    with pytest.raises(Malformed, match=r"^first$"):
         order.advance((counter - 1) % modulus, (counter - 1) * PERIOD, 10)
     assert order.advance(counter, counter * PERIOD, 10) == 1
     return order
@@ -37,7 +37,7 @@ def test_lost_packets_are_counted_up_to_as_many_as_can_have_been():
 @pytest.mark.parametrize("jump", [2, 3, 9])
 def test_a_counter_that_jumps_while_the_clock_does_not_is_found_however_little_it_jumps(jump):
     order = begun(100)
-    with pytest.raises(Malformed, match="^wrong_time$"):
+    with pytest.raises(Malformed, match=r"^wrong_time$"):
         order.advance(100 + jump, 101 * PERIOD, 10)
     assert order.advance(101, 101 * PERIOD, 10) == 1
 
@@ -61,7 +61,7 @@ def test_a_target_without_a_clock_is_judged_by_its_counter_alone():
 def test_it_begins_between_any_number_of_packets_that_do_not_follow_each_other():
     order = Succession(2**32, PERIOD)
     for counter in (500, *range(10**6, 21 * 10**6, 10**6)):
-        with pytest.raises(Malformed, match="^first$"):
+        with pytest.raises(Malformed, match=r"^first$"):
             order.advance(counter, counter * PERIOD, 10)
     assert order.advance(501, 501 * PERIOD, 10) == 1
 

@@ -7,9 +7,10 @@ import time
 
 import numpy as np
 import pytest
+from bridge_endurance import bridge_endurance
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from udp_target import CHANNELS, PERIOD, RIG, UdpTarget, device_file, values_of
+from udp_target import CHANNELS, KINDS, PERIOD, RIG, UdpTarget, device_file, malformed, values_of
 
 from abrace_core.errors import AbraceError
 from abrace_plant.devices.device import DeviceError
@@ -166,7 +167,7 @@ def test_a_port_that_is_taken_is_an_error_of_open(tmp_path):
     device = load(device_file(tmp_path), RIG)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", device.file.local_port))
-        with pytest.raises(AbraceError, match="cannot receive at 127.0.0.1:.*: Address already in use"):
+        with pytest.raises(AbraceError, match=r"cannot receive at 127.0.0.1:.*: Address already in use"):
             device.open()
 
 
@@ -196,29 +197,6 @@ def test_readings_and_commands_go_through_the_calibration(tmp_path):
         np.testing.assert_allclose(target.last.signals, (-2.0, 2.0))
 
 
-def malformed(target: UdpTarget, kind: str, amount: int, content: bytes) -> bytes:
-    """A packet that must not be used, or is good but not new; with its CRC right where that is not what is wrong."""
-    good = bytearray(target.sample(target.counter))
-    if kind == "random":
-        return content
-    if kind == "cut":
-        return bytes(good[: amount % len(good)])
-    if kind == "longer":
-        return bytes(good) + content[:1] + b"\0"
-    if kind == "bit":
-        good[amount % len(good)] ^= 1 << amount % 8
-        return bytes(good)
-    if kind == "counter":
-        return target.sample((target.counter + 10**5 + amount) % 2**32)
-    if kind == "small_jump":
-        return target.sample(target.counter + 2 + amount % 8, time=(target.counter + 1) * PERIOD)
-    values = [1.0] * len(CHANNELS)
-    values[amount % len(CHANNELS)] = (math.nan, math.inf, -math.inf, 1.7e308)[amount % 4]
-    values[(amount + 1) % len(CHANNELS)] = values[amount % len(CHANNELS)]
-    return target.sample(target.counter + 1, values)
-
-
-KINDS = ("random", "cut", "longer", "bit", "counter", "small_jump", "value")
 PACKETS = st.lists(
     st.tuples(st.sampled_from(KINDS), st.integers(0, 2**31), st.binary(max_size=200)), min_size=20, max_size=40
 )
@@ -235,6 +213,12 @@ def test_between_thousands_of_malformed_packets_every_sample_is_used_and_no_othe
         target.send(malformed(target, kind, amount, content))
     reading = target.device.exchange([0.0], 0.0)
     assert (reading.values.tolist(), reading.missed) == (values_of(target.counter), skipped)
+
+
+def test_a_loop_at_500_hz_stands_malformed_packets_at_10_khz():
+    found = bridge_endurance(4000)
+    assert found["malformed_packets"] >= 4000
+    assert (found["wrong_samples"], found["missed_samples"]) == (0, 0), found
 
 
 def test_exchange_runs_in_a_thread_of_its_own(target):

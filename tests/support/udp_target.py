@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import socket
 import threading
 import time
@@ -53,7 +54,7 @@ class UdpTarget:
     """A target that sends samples from its own port, and the device that it belongs to."""
 
     def __init__(self, path: Path) -> None:
-        self.device: UdpDevice = load(path, RIG)
+        self.device = self.device_of(path)
         file = self.device.file
         layout = read_layout(CONFIG / "devices/layout.yaml")
         self.samples, self.commands = Packet(layout, "sample", CHANNELS), Packet(layout, "command", ("U", "w"))
@@ -62,6 +63,11 @@ class UdpTarget:
         self.socket.settimeout(5.0)
         self.to = "127.0.0.1", file.local_port
         self.counter = 1000
+
+    @staticmethod
+    def device_of(path: Path) -> UdpDevice:
+        """The device of a device file, for the paper's rig."""
+        return load(path, RIG)
 
     def __enter__(self) -> UdpTarget:
         return self
@@ -124,3 +130,41 @@ class UdpTarget:
             thread.join()
         self.opened = self.tick(), time.monotonic_ns()
         self.device.exchange([0.0], 0.0)
+
+
+KINDS = ("random", "cut", "longer", "bit", "counter", "small_jump", "repeated", "old", "value")
+
+
+def malformed(target: UdpTarget, kind: str, amount: int, content: bytes) -> bytes:
+    """A packet of the target's sender that must not be used; its CRC is right where that is not what is wrong.
+
+    Parameters
+    ----------
+    target
+        Whose next sample it pretends to be.
+    kind
+        Of `KINDS`.
+    amount, content
+        By which packets of a kind differ.
+    """
+    if kind == "random":
+        return content
+    if kind == "counter":
+        return target.sample((target.counter + 10**5 + amount) % 2**32)
+    if kind == "old":
+        return target.sample((target.counter - 1 - amount % 1000) % 2**32)
+    if kind == "small_jump":
+        return target.sample(target.counter + 2 + amount % 8, time=(target.counter + 1) * PERIOD)
+    if kind == "value":
+        values = [1.0] * len(CHANNELS)
+        for place in (amount, amount + 1):
+            values[place % len(CHANNELS)] = (math.nan, math.inf, -math.inf, 1.7e308)[amount % 4]
+        return target.sample(target.counter + 1, values)
+    good = bytearray(target.sample(target.counter))
+    if kind == "cut":
+        return bytes(good[: amount % len(good)])
+    if kind == "longer":
+        return bytes(good) + content[:1] + b"\0"
+    if kind == "bit":
+        good[amount % len(good)] ^= 1 << amount % 8
+    return bytes(good)

@@ -4,8 +4,8 @@
     raw   = offset + sign value / gain      of a commanded one
 
 A filter delays what it passes. At frequencies well below its own f it does so by 1 / (2 pi f) for the first order and
-by sqrt(2) / (2 pi f) for the second (Butterworth): a phase lag of 360 degrees times frequency times delay, which the
-identified model contains.
+by sqrt(2) / (2 pi f) for the second (Butterworth), a little less where f is near half the sample rate: a phase lag of
+360 degrees times frequency times delay, which the identified model contains.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ class Calibration:
         self.delay = min(delays)
         filters = [file.channels[name].filter if file else None for name in channels]
         self._filter = _Filters(filters, channels, sample_rate) if any(filters) else None
-        self.lag = tuple(delay + _filter_delay(each) for delay, each in zip(delays, filters, strict=True))
+        self.lag = tuple(delay + _filter_delay(each, sample_rate) for delay, each in zip(delays, filters, strict=True))
         """(channels,) delay and that of the filter at low frequencies [s]."""
 
     def reset(self) -> None:
@@ -275,9 +275,12 @@ def _arrays(entries: Sequence[tuple[str, CommandChannel | None]]) -> tuple[NDArr
     return tuple(np.array(rows, dtype=np.float64).reshape(-1, 4).T)
 
 
-def _filter_delay(given: Filter | None) -> float:
+def _filter_delay(given: Filter | None, sample_rate: float) -> float:
     """Of a filter at frequencies well below its own [s]."""
-    return 0.0 if given is None else (1.0 if given.order == 1 else math.sqrt(2)) / (2 * math.pi * given.frequency)
+    if given is None:
+        return 0.0
+    order = 1.0 if given.order == 1 else math.sqrt(2)
+    return order / (2 * sample_rate * math.tan(math.pi * given.frequency / sample_rate))
 
 
 class _Filters:

@@ -155,13 +155,21 @@ def check_sensors(rig: Rig, readings: ArrayLike, ranges: ArrayLike | None = None
         if noise[i] > NOISY * expected[i]:
             faults[i].append(f"noisy: {noise[i] / expected[i]:.1f} times the rig file's noise")
     judged = _compare(rig, values, expected, names, faults)
-    rows = zip(names, values.mean(axis=0), noise, expected, use, drift, faults, strict=True)
-    return SensorCheck(
-        tuple(
-            ChannelCheck(name, signals.unit(name), *map(float, numbers), tuple(found)) for name, *numbers, found in rows
-        ),
-        judged,
-    )
+    means = values.mean(axis=0)
+    checks = [
+        ChannelCheck(
+            name,
+            signals.unit(name),
+            float(means[i]),
+            float(noise[i]),
+            float(expected[i]),
+            float(use[i]),
+            float(drift[i]),
+            tuple(faults[i]),
+        )
+        for i, name in enumerate(names)
+    ]
+    return SensorCheck(tuple(checks), judged)
 
 
 def _longest_constant(column: NDArray[np.float64]) -> int:

@@ -120,14 +120,17 @@ class UdpDevice:
         As given.
     calibration
         May be replaced between two exchanges.
+    samples
+        Good samples that came since `open`.
     dropped
-        Packets that were not used, by the name of what was wrong with them.
+        Packets that were not used since then, by the name of what was wrong with them.
     """
 
     def __init__(
         self, file: UdpFile, samples: Packet, commands: Packet, calibration: Calibration, sample_rate: float
     ) -> None:
         self.calibration = calibration
+        self.samples = 0
         self.dropped: Counter[str] = Counter()
         self.file = file
         self._name = f"udp device {file.address}:{file.port}"
@@ -167,6 +170,7 @@ class UdpDevice:
         self._poll.register(self._socket, select.POLLIN)
         self._counter = 0
         self._last_outputs = self.calibration.outputs(self._still)
+        self.samples = 0
         self.dropped.clear()
         self._begin()
         end = time.monotonic() + OPEN_TIME
@@ -226,8 +230,8 @@ class UdpDevice:
             self._socket = None
 
     def counters(self) -> dict[str, int]:
-        """Packets dropped since `open`, by name."""
-        return {f"dropped_{name}": count for name, count in sorted(self.dropped.items())}
+        """Good samples since `open`, and dropped packets by name."""
+        return {"samples": self.samples} | {f"dropped_{name}": count for name, count in sorted(self.dropped.items())}
 
     def _begin(self) -> None:
         """Take the next samples that follow each other, whatever their counter and time."""
@@ -294,6 +298,7 @@ class UdpDevice:
         self._ticks += ticks
         if abs(age) > 1e9 * self.file.timeout:
             raise Malformed("stale")
+        self.samples += 1
         self._stamp = max(wall - round(age + 1e9 * self.calibration.delay), self._stamp + 1)
         if content.answered is not None and content.answered != self._answered:
             behind = (self._counter - content.answered) % self._echo
