@@ -43,6 +43,8 @@ NODES = {
         "`~/clear_fault`.",
         "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",
         "robot_description": "Offline: prints a rig's robot description (URDF).",
+        "check_sensors": "Offline: mean, noise, range use and drift of each channel; names those that are dead, "
+        "clipped, noisy, swapped, or have the wrong sign or gain (bridge.md). Ends with code 1 where one is.",
         "characterize": "Offline: a rig measured as the paper measured its building, in numbers and drawn.",
     },
     "abrace_bags": {

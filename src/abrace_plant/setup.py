@@ -10,6 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/abrace_plant"]),
         ("share/abrace_plant", ["package.xml"]),
         ("share/abrace_plant/config", sorted(glob("config/*.yaml"))),
+        ("share/abrace_plant/config/devices", sorted(glob("config/devices/*.yaml"))),
     ],
     zip_safe=True,
     maintainer="abrace developers",
@@ -23,6 +24,8 @@ setup(
             "record = abrace_core.executable:main",
             "characterize = abrace_core.executable:main",
             "robot_description = abrace_core.executable:main",
+            "check_sensors = abrace_core.executable:main",
+            "emulator = abrace_core.executable:main",
         ]
     },
 )

@@ -170,7 +170,8 @@ def test_a_few_lost_samples_are_bridged_and_more_are_a_fault_that_a_person_clear
     assert "6 samples lost before sample" in rig.commands[-1].fault, "the rig is told"
     assert rig.graph.clear_fault("controller").success
     rising = rig.hold(1.0, STEPS + 20)
-    assert np.abs(np.diff([0.0, *rising])).max() < 1.01 * STEEPEST * 1000.0, "it begins anew, from zero"
+    # the law fades in, and so does what the node lets act: the square of a half cosine is 1.3 times as steep
+    assert np.abs(np.diff([0.0, *rising])).max() < 1.31 * STEEPEST * 1000.0, "it begins anew, from zero"
     np.testing.assert_allclose(rising[-10:], 1000.0)
 
 

@@ -7,14 +7,12 @@ from source_tree import FLOORS, MODULES, ROOT
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 PLACEHOLDERS = {"NAME", "PACKAGE", "MODULE"}
-TO_COME = {"abrace_plant/devices"}
 PATHS = sorted(
     {
         span
         for span in re.findall(r"`([\w./]+)`", PAGE)
         if ("/" in span or span.endswith(".py")) and not PLACEHOLDERS & set(re.findall(r"[A-Z]+", span))
     }
-    - TO_COME
 )
 FILES = [str(path.relative_to(ROOT)) for path in ROOT.glob("src/*/*/**/*") if "__pycache__" not in path.parts]
 

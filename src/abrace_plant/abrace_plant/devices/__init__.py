@@ -1,1 +1,1 @@
-"""What a rig can be made of: the simulated one, and hardware behind a network."""
+"""Real hardware: takes a device file, gives a device that takes commands and answers with one reading a tick."""

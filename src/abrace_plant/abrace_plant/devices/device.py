@@ -1,4 +1,4 @@
-"""What a rig is made of: something that takes commands, and gives a sample of all its sensors at each of its ticks."""
+"""What a rig is made of: a device that takes one command and gives one reading at every tick of its hardware."""
 
 from __future__ import annotations
 
@@ -14,57 +14,58 @@ if TYPE_CHECKING:
 
 
 class DeviceError(AbraceError):
-    """A device that does not do what it is asked for."""
+    """The hardware does not do its part: the message says which device, what was missing, and for how long."""
 
 
 class Reading(NamedTuple):
-    """One sample of a device.
-
-    Parameters
-    ----------
-    values
-        (channels,) [displacements, strokes, accelerations, forces, ground acceleration], calibrated, in SI units.
-    stamp
-        When it was sampled [ns, wall clock].
-    clipped
-        Bit i: channel i is at the end of its range.
-    missed
-        Ticks since the last reading that were not answered in time: their samples are lost.
-    late
-        Whether it was taken a sample period late or more.
-    """
+    """What a device measured at one tick."""
 
     values: NDArray[np.float64]
+    """(channels,) in SI units, calibrated: [displacements, strokes, accelerations, forces, ground acceleration]."""
     stamp: int
+    """Sampling instant by the wall clock [ns]."""
     clipped: int
+    """Bit i is set where channel i is at the end of its range."""
     missed: int
+    """Ticks of the hardware since the last reading that were not answered in time."""
     late: bool = False
+    """Whether it was taken a sample period late or more."""
 
 
 class Device(Protocol):
-    """A rig's hardware, or what stands for it."""
+    """The hardware of a rig. One thread calls all of it."""
 
     def open(self) -> None:
-        """Begin; an AbraceError says what is not there."""
+        """Connect; the device does not move yet.
+
+        Raises
+        ------
+        AbraceError
+            If it is not there.
+        """
+        ...
 
     def exchange(self, command: Sequence[float], table: float) -> Reading:
-        """Send the commands, wait for the hardware's next tick, and give its sample.
+        """Send a command and wait for the hardware's next tick.
 
         Parameters
         ----------
         command
             (groups,) force of one brace of each group [N].
         table
-            Acceleration of the table [m/s^2].
+            The table's acceleration [m/s^2].
 
         Raises
         ------
         DeviceError
-            If it fails; it may be tried again.
+            If the device fails or does not answer in time.
         """
+        ...
 
     def make_safe(self) -> None:
-        """Zero force and a table at rest, as far as that is in the device's hand; raises nothing."""
+        """Bring force to zero and the table to rest, as far as it is in the device's hand; raises nothing."""
+        ...
 
     def close(self) -> None:
-        """End."""
+        """Disconnect."""
+        ...

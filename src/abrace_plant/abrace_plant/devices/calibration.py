@@ -1,0 +1,322 @@
+"""The calibration file: what a channel's reading in volts or counts is in SI units, and a command in volts or counts.
+
+    value = sign gain (raw - offset)        of a measured channel, in `unit`
+    raw   = offset + sign value / gain      of a commanded one
+
+A filter delays what it passes. At frequencies well below its own f it does so by 1 / (2 pi f) for the first order and
+by sqrt(2) / (2 pi f) for the second (Butterworth), a little less where f is near half the sample rate: a phase lag of
+360 degrees times frequency times delay, which the identified model contains.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+import pydantic
+import yaml
+
+from abrace_core import signals
+from abrace_core.config_file import Checked, read_config
+from abrace_core.errors import AbraceError
+from abrace_core.files import write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import ArrayLike, NDArray
+
+UNITS = {
+    "m": ("m", 1.0),
+    "cm": ("m", 0.01),
+    "mm": ("m", 0.001),
+    "in": ("m", 0.0254),
+    "m/s^2": ("m/s^2", 1.0),
+    "cm/s^2": ("m/s^2", 0.01),
+    "g": ("m/s^2", 9.80665),
+    "N": ("N", 1.0),
+    "kN": ("N", 1e3),
+    "kgf": ("N", 9.80665),
+    "tf": ("N", 9806.65),
+    "lbf": ("N", 4.4482216152605),
+    "kip": ("N", 4448.2216152605),
+}
+"""SI unit of each unit that a file may name, and its size in that."""
+
+AT_END = 0.999
+"""Share of half the range beyond which a reading counts as clipped: 16 bits of a converter end at 0.99997."""
+
+Positive = Annotated[float, pydantic.Field(gt=0)]
+
+
+class Filter(Checked):
+    """A low-pass: order 1, or 2 (Butterworth); frequency [Hz] at which 0.71 of the amplitude is left."""
+
+    order: Literal[1, 2]
+    frequency: Positive
+
+
+class CommandChannel(Checked):
+    """An output: `gain` in `unit` per raw unit, `offset` and `range` in raw units (volts or counts)."""
+
+    gain: Positive
+    unit: str
+    range: tuple[float, float]
+    offset: float = 0.0
+    sign: Literal[1, -1] = 1
+
+
+class Channel(CommandChannel):
+    """A measured channel; `delay` is what amplifier, converter and anti-aliasing filter take [s]."""
+
+    filter: Filter | None = None
+    delay: Annotated[float, pydantic.Field(ge=0, lt=1)] = 0.0
+
+
+class CalibrationFile(Checked):
+    """A calibration file: a channel by its signal's name (x1, xf, a1, f, w) and a command by its (U, w)."""
+
+    channels: dict[str, Channel]
+    commands: dict[str, CommandChannel]
+
+
+def read_calibration(path: Path | str) -> CalibrationFile:
+    """Read a calibration file; `Calibration` checks it against the signals of a rig.
+
+    Raises
+    ------
+    AbraceError
+        Naming the file, the key, the value and what was expected.
+    """
+    return read_config(path, CalibrationFile, "calibration")
+
+
+def write_calibration(path: Path | str, file: CalibrationFile) -> None:
+    """Write a calibration `file` anew, beside the old one and then in its place; its comments are lost."""
+    write_text(path, yaml.safe_dump(file.model_dump(exclude_defaults=True, mode="json"), sort_keys=False))
+
+
+class Calibration:
+    """The calibration of a device, applied to all channels at once.
+
+    Parameters
+    ----------
+    file
+        The calibration file; None: readings and commands are in SI units already, and none is ever clipped.
+    channels
+        Names of the measured channels, in their order.
+    commands
+        Names of the commands, in their order.
+    sample_rate
+        Hz, for the filters.
+
+    Attributes
+    ----------
+    file
+        As given.
+    channels
+        As given.
+    commands
+        Number of commands.
+    delay
+        Delay that all channels have in common [s]: the samples were taken that much before the device's own stamp.
+
+    Raises
+    ------
+    AbraceError
+        Naming the channel, and what was expected of it.
+    """
+
+    def __init__(
+        self, file: CalibrationFile | None, channels: Sequence[str], commands: Sequence[str], sample_rate: float
+    ) -> None:
+        self.file = file
+        self.channels = tuple(channels)
+        self.commands = len(commands)
+        measured = _entries(file.channels if file else None, channels, "channels")
+        commanded = _entries(file.commands if file else None, commands, "commands")
+        self._scale, self._offset, self._low, self._high = _arrays(measured)
+        self._command_scale, self._command_offset, self._command_low, self._command_high = _arrays(commanded)
+        margin = (1 - AT_END) / 2 * (self._high - self._low) if file else 0.0
+        self._clips = self._low + margin, self._high - margin
+        delays = [file.channels[name].delay if file else 0.0 for name in channels]
+        self.delay = min(delays)
+        filters = [file.channels[name].filter if file else None for name in channels]
+        self._filter = _Filters(filters, channels, sample_rate) if any(filters) else None
+        self.lag = tuple(delay + _filter_delay(each, sample_rate) for delay, each in zip(delays, filters, strict=True))
+        """(channels,) delay and that of the filter at low frequencies [s]."""
+
+    def reset(self) -> None:
+        """Let the filters begin anew with the next reading."""
+        if self._filter is not None:
+            self._filter.begun = False
+
+    def measured(self, raw: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+        """One tick's readings (channels,) in SI units, filtered, and a bit for each channel at the end of its range.
+
+        Parameters
+        ----------
+        raw
+            (channels,) as the device gives them; values beyond a channel's range are cut to it.
+        """
+        clipped = 0
+        ends = (raw <= self._clips[0]) | (raw >= self._clips[1])
+        if ends.any():
+            clipped = sum(1 << i for i in np.flatnonzero(ends).tolist())
+            raw = np.clip(raw, self._low, self._high)
+        values = (raw - self._offset) * self._scale
+        return (values if self._filter is None else self._filter.step(values)), clipped
+
+    def outputs(self, values: Sequence[float]) -> list[float]:
+        """(commands,) `values` in SI units as the device takes them, within the ranges of its outputs."""
+        raw = np.asarray(values) / self._command_scale + self._command_offset
+        found: list[float] = np.clip(raw, self._command_low, self._command_high).tolist()
+        return found
+
+    def raw(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(channels,) what the device gives for `values` in SI units: the inverse of `measured` without its filters."""
+        return np.clip(values / self._scale + self._offset, self._low, self._high)
+
+    def commanded(self, outputs: Sequence[float]) -> NDArray[np.float64]:
+        """(commands,) SI values of a device's `outputs`: the inverse of the method `outputs`."""
+        return (np.asarray(outputs) - self._command_offset) * self._command_scale
+
+    @property
+    def range(self) -> NDArray[np.float64]:
+        """(channels,) greatest magnitude in SI units that a channel reads on both sides; infinite without a file."""
+        ends = np.abs(np.array([self._low - self._offset, self._high - self._offset]) * self._scale)
+        return ends.min(axis=0)
+
+
+def zeroed(
+    file: CalibrationFile, channels: Sequence[str], readings: ArrayLike, which: Sequence[str], limit: float, rest: float
+) -> CalibrationFile:
+    """The calibration file with new offsets, at which the mean of the readings is zero.
+
+    Parameters
+    ----------
+    file
+        In use when the readings were taken.
+    channels
+        Names of the readings' channels.
+    readings
+        (samples, channels) at rest, in SI units.
+    which
+        Names of the channels to zero.
+    limit
+        Greatest mean that may be zeroed, as a share of half the channel's range.
+    rest
+        Greatest standard deviation, and greatest difference between the means of the two halves of the readings, of a
+        channel at rest, likewise.
+
+    Raises
+    ------
+    AbraceError
+        Naming every channel that is not zeroed and why; then none is.
+    """
+    values = np.asarray(readings, dtype=np.float64)
+    if values.ndim != 2 or len(values) < 2 or values.shape[1] != len(channels) or not np.isfinite(values).all():
+        raise AbraceError(
+            f"zeroing: readings of shape {values.shape}, expected finite ones of {len(channels)} channels"
+        )
+    new, refused = dict(file.channels), []
+    for name in which:
+        if name not in channels:
+            raise AbraceError(f"zeroing: no channel {name!r}, expected some of {', '.join(channels)}")
+        column, old = values[:, list(channels).index(name)], file.channels[name]
+        size = UNITS[old.unit][1] * old.gain
+        half_range = size * (old.range[1] - old.range[0]) / 2
+        half = len(column) // 2
+        mean, deviation = float(column.mean()), float(column.std())
+        creep = abs(float(column[half:].mean() - column[:half].mean()))
+        unit = signals.unit(name)
+        if max(deviation, creep) > rest * half_range:
+            found, most = max(deviation, creep), rest * half_range
+            refused.append(f"{name} is not at rest ({found:.3g} {unit}, expected at most {most:.3g})")
+        elif abs(mean) > limit * half_range:
+            refused.append(f"{name} reads {mean:.3g} {unit}, expected at most {limit * half_range:.3g}")
+        else:
+            new[name] = old.model_copy(update={"offset": old.offset + old.sign * mean / size})
+    if refused:
+        raise AbraceError(f"zeroing: {'; '.join(refused)}")
+    return file.model_copy(update={"channels": new})
+
+
+def _entries(
+    given: dict[str, Channel] | dict[str, CommandChannel] | None, names: Sequence[str], key: str
+) -> list[tuple[str, CommandChannel | None]]:
+    """The entry of each name, checked; None where there is no file."""
+    if given is None:
+        return [(name, None) for name in names]
+    for name in names:
+        if name not in given:
+            raise AbraceError(f"{key}: no entry {name}, expected {', '.join(names)}")
+    for name, entry in given.items():
+        if name not in names:
+            raise AbraceError(f"{key}.{name}: unknown, expected {', '.join(names)}")
+        if entry.unit not in UNITS or UNITS[entry.unit][0] != signals.unit(name):
+            fitting = ", ".join(unit for unit, (si, _) in UNITS.items() if si == signals.unit(name))
+            raise AbraceError(f"{key}.{name}.unit: {entry.unit!r}, expected one of {fitting}")
+        if not entry.range[0] < entry.offset < entry.range[1]:
+            raise AbraceError(f"{key}.{name}.range: {list(entry.range)}, expected its ends around {entry.offset:g}")
+    return [(name, given[name]) for name in names]
+
+
+def _arrays(entries: Sequence[tuple[str, CommandChannel | None]]) -> tuple[NDArray[np.float64], ...]:
+    """SI units per raw unit with the sign, offsets, low and high ends of the ranges, each (entries,)."""
+    rows = [
+        (1.0, 0.0, -math.inf, math.inf)
+        if entry is None
+        else (entry.sign * entry.gain * UNITS[entry.unit][1], entry.offset, *entry.range)
+        for _, entry in entries
+    ]
+    return tuple(np.array(rows, dtype=np.float64).reshape(-1, 4).T)
+
+
+def _filter_delay(given: Filter | None, sample_rate: float) -> float:
+    """Of a filter at frequencies well below its own [s]."""
+    if given is None:
+        return 0.0
+    order = 1.0 if given.order == 1 else math.sqrt(2)
+    return order / (2 * sample_rate * math.tan(math.pi * given.frequency / sample_rate))
+
+
+class _Filters:
+    """A second-order section for each channel, stepped together; begins at rest at the first values."""
+
+    def __init__(self, filters: Sequence[Filter | None], channels: Sequence[str], sample_rate: float) -> None:
+        rows = []
+        for name, given in zip(channels, filters, strict=True):
+            if given is not None and given.frequency >= sample_rate / 2:
+                raise AbraceError(
+                    f"channels.{name}.filter.frequency: {given.frequency:g} Hz, expected less than half of "
+                    f"{sample_rate:g} Hz"
+                )
+            rows.append(_section(given, sample_rate))
+        self._b0, self._b1, self._b2, self._a1, self._a2 = np.array(rows).T
+        self.begun = False
+        self._first = self._second = np.zeros(len(rows))
+
+    def step(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        if not self.begun:
+            self._second = (self._b2 - self._a2) * values
+            self._first = (self._b1 - self._a1) * values + self._second
+            self.begun = True
+        filtered = self._b0 * values + self._first
+        self._first = self._b1 * values - self._a1 * filtered + self._second
+        self._second = self._b2 * values - self._a2 * filtered
+        return filtered
+
+
+def _section(given: Filter | None, sample_rate: float) -> tuple[float, float, float, float, float]:
+    """b0, b1, b2, a1, a2 of the bilinear transform, exact at the filter's frequency."""
+    if given is None:
+        return 1.0, 0.0, 0.0, 0.0, 0.0
+    k = math.tan(math.pi * given.frequency / sample_rate)
+    if given.order == 1:
+        return k / (1 + k), k / (1 + k), 0.0, (k - 1) / (1 + k), 0.0
+    scale = 1 / (1 + math.sqrt(2) * k + k * k)
+    b = k * k * scale
+    return b, 2 * b, b, 2 * (k * k - 1) * scale, (1 - math.sqrt(2) * k + k * k) * scale

@@ -1,0 +1,127 @@
+"""The device file: which kind of device a rig's hardware is, and the device that it describes.
+
+A laboratory adds kinds of its own as entry points of the group `abrace.devices`: each is a function that takes the path
+of the device file and the rig, and gives a `Device`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from importlib.metadata import entry_points
+from ipaddress import IPv4Address
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import pydantic
+
+from abrace_core import signals
+from abrace_core.config_file import Checked, read_config
+from abrace_core.errors import AbraceError
+from abrace_plant.devices.calibration import Calibration, read_calibration
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from abrace_plant.devices.device import Device
+    from abrace_plant.rig.model import Rig
+
+GROUP = "abrace.devices"
+"""Entry points of this group are kinds of devices."""
+OWN_KINDS = {"udp": "abrace_plant.devices.udp", "modbus": "abrace_plant.devices.modbus"}
+"""Modules of the kinds that abrace has; each has a function `load`."""
+
+Address = IPv4Address
+"""Of a device, in digits."""
+PortNumber = Annotated[int, pydantic.Field(ge=1, le=65535)]
+TimeOut = Annotated[float, pydantic.Field(gt=0, le=1)]
+"""Seconds."""
+
+
+class DeviceFile(Checked):
+    """What every device file has; `calibration` is a file, its path counted from the device file's folder."""
+
+    kind: str
+    calibration: str | None = None
+
+
+class _AnyDevice(DeviceFile):
+    model_config = pydantic.ConfigDict(extra="allow")
+
+
+def load_device(path: Path | str, rig: Rig) -> Device:
+    """The device that a device file describes; it is not open yet.
+
+    Parameters
+    ----------
+    path
+        Of the device file.
+    rig
+        The rig that the device moves and measures: its floors, brace groups and sample rate.
+
+    Raises
+    ------
+    AbraceError
+        Naming the file, the key, the value and what was expected.
+    """
+    kind = kind_of(path)
+    if kind in OWN_KINDS:
+        return cast("Device", importlib.import_module(OWN_KINDS[kind]).load(Path(path), rig))
+    points = entry_points(group=GROUP)
+    if kind not in points.names:
+        known = ", ".join([*OWN_KINDS, *sorted(points.names)])
+        raise AbraceError(f"device file {path}: kind: {kind!r}, expected one of {known}, or an entry point in {GROUP}")
+    try:
+        load = cast("Callable[[Path, Rig], Device]", points[kind].load())
+    except Exception as error:
+        raise AbraceError(
+            f"device file {path}: kind: {kind}: {points[kind].value} cannot be loaded: {error}"
+        ) from error
+    return load(Path(path), rig)
+
+
+def kind_of(path: Path | str) -> str:
+    """The kind of device in a device file.
+
+    Raises
+    ------
+    AbraceError
+        If it is no device file.
+    """
+    return read_config(path, _AnyDevice, "device").kind
+
+
+def channels_of(rig: Rig) -> tuple[str, ...]:
+    """Names of the `rig`'s measured channels, in the order of a reading: z, then the ground acceleration w."""
+    return (*signals.response_names(rig.floors, rig.groups), signals.GROUND)
+
+
+def commands_of(rig: Rig) -> tuple[str, ...]:
+    """Names of the `rig`'s commands: U of each brace group, then the table's acceleration w."""
+    return (*signals.command_names(rig.groups), signals.GROUND)
+
+
+def load_calibration(path: Path, file: DeviceFile, rig: Rig) -> Calibration:
+    """The calibration of a device.
+
+    Parameters
+    ----------
+    path
+        Of the device file.
+    file
+        Its content.
+    rig
+        The rig that it measures.
+
+    Raises
+    ------
+    AbraceError
+        Naming the file, the key, the value and what was expected.
+    """
+    if file.calibration is None:
+        return Calibration(None, channels_of(rig), commands_of(rig), rig.sample_rate)
+    beside = path.parent / file.calibration
+    content = read_calibration(beside)
+    try:
+        return Calibration(content, channels_of(rig), commands_of(rig), rig.sample_rate)
+    except AbraceError as error:
+        raise AbraceError(f"calibration file {beside}: {error}") from error

@@ -1,0 +1,252 @@
+"""A device behind Modbus-TCP, such as LabJack's T7: commands are written and readings read at a tick of our own clock.
+
+A device that only answers has no tick of its own, and keeps its outputs when nobody writes any more. So `make_safe`
+brings them to zero itself; what happens when this computer is gone has to be watched at the device (the life counter).
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import pydantic
+from pymodbus import ModbusException
+from pymodbus.client import ModbusTcpClient
+
+from abrace_core.config_file import read_config
+from abrace_core.errors import AbraceError
+from abrace_plant.devices.device import DeviceError, Reading
+from abrace_plant.devices.file import (
+    Address,
+    DeviceFile,
+    PortNumber,
+    TimeOut,
+    channels_of,
+    commands_of,
+    load_calibration,
+)
+from abrace_plant.devices.registers import WIDEST_GAP, Block, RegisterMap, blocks, read_register_map
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from abrace_plant.devices.calibration import Calibration
+    from abrace_plant.rig.model import Rig
+
+RAMP_TIME = 0.5
+"""Seconds in which `make_safe` brings the outputs to zero."""
+OPEN_TIME = 2.0
+"""Seconds that `open` waits for a connection."""
+
+# what goes wrong is raised; pymodbus would print it as well
+logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
+
+
+class ModbusFile(DeviceFile):
+    """A device file of the kind modbus; `timeout` [s] is how long an answer may take."""
+
+    kind: Literal["modbus"]
+    registers: str
+    address: Address
+    port: PortNumber = 502
+    unit: Annotated[int, pydantic.Field(ge=0, le=255)] = 1
+    timeout: TimeOut = 0.02
+
+
+def load(path: Path, rig: Rig) -> ModbusDevice:
+    """The device of a device file of the kind modbus, for a `rig`.
+
+    Raises
+    ------
+    AbraceError
+        Naming the file, the key, the value and what was expected.
+    """
+    file = read_config(path, ModbusFile, "device")
+    registers, inputs, outputs = register_blocks(path, file, rig)
+    return ModbusDevice(file, registers, inputs, outputs, load_calibration(path, file, rig), rig.sample_rate)
+
+
+def register_blocks(path: Path, file: ModbusFile, rig: Rig) -> tuple[RegisterMap, list[Block], list[Block]]:
+    """The register map of the device `file` at `path`, and its blocks of channels and of commands, for a `rig`.
+
+    Raises
+    ------
+    AbraceError
+        Naming the file, the key, the value and what was expected; a rig that is too fast for the device.
+    """
+    beside = path.parent / file.registers
+    registers = read_register_map(beside)
+    if rig.sample_rate > registers.highest_rate:
+        raise AbraceError(
+            f"device file {path}: {registers.name} takes at most {registers.highest_rate:g} samples/s; the sample_rate "
+            f"of {rig.name} is {rig.sample_rate:g} Hz, expected a rig file with a lower one"
+        )
+    try:
+        inputs = blocks(registers.inputs, channels_of(rig), registers.word_order, WIDEST_GAP, "inputs")
+        outputs = blocks(registers.outputs, commands_of(rig), registers.word_order, 0, "outputs")
+    except AbraceError as error:
+        raise AbraceError(f"register map file {beside}: {error}") from error
+    return registers, inputs, outputs
+
+
+class ModbusDevice:
+    """A device behind Modbus-TCP.
+
+    Parameters
+    ----------
+    file
+        The device file.
+    registers
+        The register map.
+    inputs, outputs
+        Blocks of the channels in the order of a reading, and of the commands U of each group, then w.
+    calibration
+        Of the channels and of the commands.
+    sample_rate
+        Hz.
+
+    Attributes
+    ----------
+    calibration
+        May be replaced between two exchanges.
+    """
+
+    def __init__(
+        self,
+        file: ModbusFile,
+        registers: RegisterMap,
+        inputs: Sequence[Block],
+        outputs: Sequence[Block],
+        calibration: Calibration,
+        sample_rate: float,
+    ) -> None:
+        self.calibration = calibration
+        self._file = file
+        self._map = registers
+        self._inputs, self._outputs = inputs, outputs
+        self._life = Block([(0, registers.life_counter)], registers.word_order) if registers.life_counter else None
+        self._period = 1 / sample_rate
+        self._name = f"modbus device {registers.name} at {file.address}:{file.port}"
+        self._client: Any = None
+        self._tick = 0.0
+        self._counter = 0
+        self._last = [0.0] * calibration.commands
+
+    def open(self) -> None:
+        """Connect, write the settings, command zero, read once.
+
+        Raises
+        ------
+        DeviceError
+            If it does not answer.
+        """
+        self.close()
+        address = str(self._file.address)
+        self._client = ModbusTcpClient(address, port=self._file.port, timeout=OPEN_TIME, retries=0)
+        if not self._client.connect():
+            self._client = None
+            raise DeviceError(f"{self._name}: no connection within {OPEN_TIME:g} s")
+        self._client.comm_params.timeout_connect = self._file.timeout
+        self._last = [0.0] * self.calibration.commands
+        self._tick = 0.0
+        self.calibration.reset()
+        try:
+            for setting in self._map.set_up:
+                block = Block([(0, setting)], self._map.word_order)
+                self._write(block, [setting.value])
+            self._command(self._last)
+            self._read()
+        except DeviceError:
+            self.close()
+            raise
+
+    def exchange(self, command: Sequence[float], table: float) -> Reading:
+        """Write `command` (groups,) [N] and the `table`'s acceleration [m/s^2]; at the next tick read the channels.
+
+        `missed` counts the ticks that had passed when this was called.
+
+        Raises
+        ------
+        DeviceError
+            If the device does not answer within the time-out, or refuses.
+        """
+        self._command([*command, table])
+        now = time.monotonic()
+        missed = int((now - self._tick) / self._period) if self._tick else 0
+        self._tick = self._tick + (missed + 1) * self._period if self._tick else now
+        time.sleep(max(0.0, self._tick - time.monotonic()))
+        begun = time.time_ns()
+        raw = self._read()
+        stamp = (begun + time.time_ns()) // 2 - round(1e9 * self.calibration.delay)
+        values, clipped = self.calibration.measured(raw)
+        return Reading(values, stamp, clipped, missed)
+
+    def make_safe(self) -> None:
+        """Bring the outputs to zero within `RAMP_TIME`, unless the device does not take them."""
+        steps = max(1, round(RAMP_TIME / self._period))
+        start, due = self._last, time.monotonic()
+        for step in range(1, steps + 1):
+            share = (1 + math.cos(math.pi * step / steps)) / 2 if any(start) else 0.0
+            try:
+                self._command([share * value for value in start])
+            except AbraceError:
+                return
+            if not any(start):
+                return
+            due += self._period
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def close(self) -> None:
+        """Disconnect."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+    def _command(self, values: Sequence[float]) -> None:
+        """Write commands in SI units, and the life counter."""
+        outputs = self.calibration.outputs(values)
+        for block in self._outputs:
+            self._write(block, [outputs[position] for position in block.positions])
+        self._last = list(values)
+        if self._life is not None:
+            self._counter = (self._counter + 1) % (1 << 15)
+            self._write(self._life, [self._counter])
+
+    def _read(self) -> NDArray[np.float64]:
+        """(channels,) as the device gives them."""
+        raw = np.empty(len(self.calibration.channels))
+        for block in self._inputs:
+            answer = self._asked("read", block, count=block.words)
+            raw[block.positions] = block.decode(answer.registers)
+        if not np.isfinite(raw).all():
+            names = [
+                name for name, value in zip(self.calibration.channels, raw, strict=True) if not math.isfinite(value)
+            ]
+            raise DeviceError(f"{self._name}: {', '.join(names)} not finite")
+        return raw
+
+    def _write(self, block: Block, values: Sequence[float]) -> None:
+        self._asked("write", block, values=block.encode(values))
+
+    def _asked(self, what: Literal["read", "write"], block: Block, **content: Any) -> Any:
+        """The answer to a request; DeviceError if there is none, or a refusal."""
+        where = f"{what} registers {block.first} to {block.first + block.words - 1}"
+        if self._client is None:
+            raise DeviceError(f"{self._name}: {where}: not connected")
+        try:
+            request = self._client.read_holding_registers if what == "read" else self._client.write_registers
+            answer = request(block.first, device_id=self._file.unit, **content)
+        except (ModbusException, OSError) as error:
+            reason = " ".join(str(error).split()).removeprefix("Modbus Error: ")
+            raise DeviceError(
+                f"{self._name}: {where}: no answer within {1e3 * self._file.timeout:g} ms ({reason})"
+            ) from error
+        if answer.isError():
+            raise DeviceError(f"{self._name}: {where}: refused ({answer})")
+        return answer

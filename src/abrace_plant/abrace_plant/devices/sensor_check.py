@@ -1,0 +1,245 @@
+"""Sensors judged by what they read: at rest their noise, in motion by what each floor's signals say of each other.
+
+A floor's accelerometer reads the second derivative of its displacement plus the table's acceleration, whatever the
+building is; a brace's stroke is `cosine` times the drift of its storey. So with motion enough in a record every channel
+can be predicted from others. A channel that another floor's prediction fits, and its own does not, is swapped; one that
+fits with a minus has the wrong sign. Both are compared in the frequency domain, each frequency weighted by the noise
+that the two sides have there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from abrace_core import signals
+from abrace_core.errors import AbraceError
+from abrace_plant.devices.calibration import AT_END
+from abrace_plant.devices.file import channels_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from abrace_plant.rig.model import Rig
+
+DEAD_TIME = 1.0
+"""Seconds for which a channel that lives does not read the same: its noise moves the last bits."""
+NOISY = 3.0
+"""Times the noise of the rig file."""
+LOWEST = 0.3
+"""Hz below which drift and the ends of the record rule."""
+MOTION = 10.0
+"""Times the noise that signals must be, in root mean square, to be compared."""
+FITS, BETTER = 0.3, 4.0
+"""Share of a signal's power that a prediction which fits may leave; how many times less than one that does not."""
+GAIN_ERROR = 0.1
+"""Share by which two sensors' sizes may differ."""
+LEAST_SAMPLES = 100
+"""Samples of a record, at least."""
+
+
+@dataclass(frozen=True)
+class ChannelCheck:
+    """What one channel reads.
+
+    Parameters
+    ----------
+    name, unit
+        Of the channel; its SI unit.
+    mean
+        Of the record.
+    noise
+        Standard deviation of what is white in it, from fourth differences, which slow motion hardly enters.
+    expected_noise
+        Of the rig file.
+    range_use
+        Greatest reading over the end of the range.
+    drift
+        Change over the record of the straight line through it.
+    faults
+        What is wrong, in words; empty: nothing.
+    """
+
+    name: str
+    unit: str
+    mean: float
+    noise: float
+    expected_noise: float
+    range_use: float
+    drift: float
+    faults: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SensorCheck:
+    """What a record says of the sensors.
+
+    Parameters
+    ----------
+    channels
+        In the order of a reading.
+    judged
+        Whether there was enough motion to find channels that are swapped or have the wrong sign.
+    """
+
+    channels: tuple[ChannelCheck, ...]
+    judged: bool
+
+    @property
+    def well(self) -> bool:
+        """Whether no channel has a fault."""
+        return not any(channel.faults for channel in self.channels)
+
+    def text(self) -> str:
+        """A table, a line for each channel."""
+        lines = [f"{'':4} {'unit':6} {'mean':>11} {'noise':>10} {'expected':>10} {'range %':>8} {'drift':>11}"]
+        for c in self.channels:
+            row = f"{c.name:4} {c.unit:6} {c.mean:11.4g} {c.noise:10.3g} {c.expected_noise:10.3g}"
+            row += f" {100 * c.range_use:8.2f} {c.drift:11.3g}  {'; '.join(c.faults)}"
+            lines.append(row.rstrip())
+        if not self.judged:
+            lines.append("Swapped channels and signs: not judged, the rig hardly moved.")
+        return "\n".join(lines)
+
+
+def check_sensors(rig: Rig, readings: ArrayLike, ranges: ArrayLike | None = None) -> SensorCheck:
+    """Judge the sensors of a rig by a record.
+
+    Parameters
+    ----------
+    rig
+        Its sensors' noise and range, its floors and braces.
+    readings
+        (samples, channels) as a device or a bag gives them.
+    ranges
+        (channels,) ends of the channels' ranges in SI units, where they are not those of the rig file.
+
+    Raises
+    ------
+    AbraceError
+        If the record has another number of channels, is too short, or not finite.
+    """
+    names = channels_of(rig)
+    values = np.asarray(readings, dtype=np.float64)
+    if values.ndim != 2 or values.shape[1] != len(names) or len(values) < LEAST_SAMPLES:
+        raise AbraceError(
+            f"readings of shape {values.shape}, expected at least {LEAST_SAMPLES} samples of {len(names)} channels"
+        )
+    if not np.isfinite(values).all():
+        bad = names[int(np.flatnonzero(~np.isfinite(values).all(axis=0))[0])]
+        raise AbraceError(f"readings of {bad} are not finite")
+    sensors = rig.sensors.channels(rig.floors, rig.groups)
+    ends = np.array([sensor.range for sensor in sensors]) if ranges is None else np.asarray(ranges)
+    ends = np.where(np.isfinite(ends), ends, [sensor.range for sensor in sensors])
+    expected = np.array([sensor.noise for sensor in sensors])
+    # the fourth difference of white noise has the variance 1 + 16 + 36 + 16 + 1 of its own
+    noise = np.diff(values, 4, axis=0).std(axis=0) / np.sqrt(70)
+    use = np.abs(values).max(axis=0) / ends
+    time = np.linspace(-0.5, 0.5, len(values))
+    drift = time @ values / (time @ time)
+    faults: list[list[str]] = [[] for _ in names]
+    for i, column in enumerate(values.T):
+        same = _longest_constant(column)
+        if same >= min(len(column), DEAD_TIME * rig.sample_rate):
+            faults[i].append(f"dead: the same reading for {same / rig.sample_rate:.3g} s")
+        at_end = int((np.abs(column) >= AT_END * ends[i]).sum())
+        if at_end:
+            faults[i].append(
+                f"clipped: {at_end} samples at the end of the range, {ends[i]:.4g} {signals.unit(names[i])}"
+            )
+        if noise[i] > NOISY * expected[i]:
+            faults[i].append(f"noisy: {noise[i] / expected[i]:.1f} times the rig file's noise")
+    judged = _compare(rig, values, expected, names, faults)
+    means = values.mean(axis=0)
+    checks = [
+        ChannelCheck(
+            name,
+            signals.unit(name),
+            float(means[i]),
+            float(noise[i]),
+            float(expected[i]),
+            float(use[i]),
+            float(drift[i]),
+            tuple(faults[i]),
+        )
+        for i, name in enumerate(names)
+    ]
+    return SensorCheck(tuple(checks), judged)
+
+
+def _longest_constant(column: NDArray[np.float64]) -> int:
+    """Samples of the longest stretch with one value."""
+    changes = np.flatnonzero(np.diff(column) != 0) + 1
+    return int(np.diff([0, *changes.tolist(), len(column)]).max())
+
+
+def _compare(
+    rig: Rig, values: NDArray[np.float64], noise: NDArray[np.float64], names: Sequence[str], faults: list[list[str]]
+) -> bool:
+    """Compare accelerations with displacements and strokes with drifts; returns whether there was motion enough."""
+    floors, groups = rig.floors, rig.groups
+    window = np.hanning(len(values))[:, None]
+    spectra = np.fft.rfft((values - values.mean(axis=0)) * window, axis=0)
+    frequencies = np.fft.rfftfreq(len(values), 1 / rig.sample_rate)
+    spectra, frequencies = spectra[frequencies > LOWEST], frequencies[frequencies > LOWEST]
+    squares = ((2 * np.pi * frequencies) ** 2)[:, None]
+    x, stroke = spectra[:, :floors], spectra[:, floors : floors + groups]
+    a = spectra[:, floors + groups : 2 * floors + groups]
+    power = float((window**2).sum())
+    x_noise, a_noise = noise[0], noise[floors + groups]
+    motion = _judge(
+        a,
+        spectra[:, -1:] - squares * x,
+        1 / (power * (a_noise**2 + (squares * x_noise) ** 2)),
+        [names[floors + groups + i] for i in range(floors)],
+        [names[i] for i in range(floors)],
+        faults[floors + groups : 2 * floors + groups],
+    )
+    below = np.hstack([np.zeros((len(x), 1)), x])
+    drifts = np.column_stack(
+        [group.cosine * (x[:, group.floor - 1] - below[:, group.floor - 1]) for group in rig.braces]
+    )
+    storeys = [f"the drift of storey {group.floor}" for group in rig.braces]
+    weight = np.full_like(squares, 1 / (power * (noise[floors] ** 2 + 2 * x_noise**2)))
+    strokes = list(names[floors : floors + groups])
+    return _judge(stroke, drifts, weight, strokes, storeys, faults[floors : floors + groups]) and motion
+
+
+def _judge(
+    measured: NDArray[np.complex128],
+    predicted: NDArray[np.complex128],
+    weight: NDArray[np.float64],
+    names: Sequence[str],
+    sources: Sequence[str],
+    faults: list[list[str]],
+) -> bool:
+    """Fit each signal `measured` (frequencies, signals) by one `predicted`; returns whether there was motion enough."""
+
+    def products(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> NDArray[np.float64]:
+        return np.real((weight * one).conj().T @ other)
+
+    own, other = np.diag(products(measured, measured)), np.diag(products(predicted, predicted))
+    if min(own.min(), other.min()) < MOTION**2 * len(measured) or any(
+        "dead" in text for each in faults for text in each
+    ):
+        return False
+    cross = products(measured, predicted)
+    left = (own[:, None] + other[None, :] - 2 * np.abs(cross)) / own[:, None]
+    rows, columns = linear_sum_assignment(left)
+    for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
+        if j != i and left[i, j] < FITS and left[i, i] > BETTER * left[i, j]:
+            faults[i].append(f"swapped: moves as {sources[j]} does, where {sources[i]} was expected")
+            j_or_i = j
+        else:
+            j_or_i = i
+        gain = cross[i, j_or_i] / other[j_or_i]
+        if gain < 0 and left[i, j_or_i] < 1:
+            faults[i].append(f"wrong sign: {names[i]} against {sources[j_or_i]}")
+        if abs(abs(gain) - 1) > GAIN_ERROR and left[i, j_or_i] < 1:
+            faults[i].append(f"gain: {abs(gain):.3g} times what {sources[j_or_i]} says")
+    return True

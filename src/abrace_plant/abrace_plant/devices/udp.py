@@ -1,0 +1,314 @@
+"""A target that sends one UDP packet a tick and takes one: Speedgoat, dSPACE, LabVIEW, Simulink, a board of one's own.
+
+What arrives is judged packet by packet; what is not from the target, not whole, not finite or not the next sample is
+dropped and counted by its name. A tick's sample is used when it is the newest that has arrived.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import time
+from collections import Counter
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from abrace_core.config_file import read_config
+from abrace_core.errors import AbraceError
+from abrace_plant.devices.device import DeviceError, Reading
+from abrace_plant.devices.file import (
+    Address,
+    DeviceFile,
+    PortNumber,
+    TimeOut,
+    channels_of,
+    commands_of,
+    load_calibration,
+)
+from abrace_plant.devices.layout import Content, Malformed, Packet, read_layout
+from abrace_plant.devices.succession import Succession, TargetClock
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from abrace_plant.devices.calibration import Calibration
+    from abrace_plant.rig.model import Rig
+
+OPEN_TIME = 2.0
+"""Seconds that `open` waits for a target's samples."""
+ASKING_PERIOD = 0.01
+"""Seconds between commands with zero force that do not enable, which `open` sends."""
+BUFFER = 1 << 20
+"""Bytes of packets that the socket keeps while nobody reads, as far as the system allows."""
+LAST_COMMANDS = 3
+"""Packets in which `make_safe` says that commands are not to be followed any more; any of them may be lost."""
+
+
+class UdpFile(DeviceFile):
+    """A device file of the kind udp.
+
+    Commands go to `address` and `port`; samples come from `address` and `source_port` (else `port`) to `local_port` of
+    `local_address` (else of any of this computer's). `timeout` [s] is how long a sample may stay away.
+    """
+
+    kind: Literal["udp"]
+    layout: str
+    address: Address
+    port: PortNumber
+    source_port: PortNumber | None = None
+    local_address: Address = Address("0.0.0.0")
+    local_port: PortNumber
+    timeout: TimeOut = 0.02
+
+    @property
+    def sender(self) -> tuple[str, int]:
+        """Address and port that samples come from."""
+        return str(self.address), self.source_port or self.port
+
+
+def load(path: Path, rig: Rig) -> UdpDevice:
+    """The device of a device file of the kind udp, for a `rig`.
+
+    Raises
+    ------
+    AbraceError
+        Naming the file, the key, the value and what was expected.
+    """
+    file = read_config(path, UdpFile, "device")
+    samples, commands = packets(path, file, rig)
+    return UdpDevice(file, samples, commands, load_calibration(path, file, rig), rig.sample_rate)
+
+
+def packets(path: Path, file: UdpFile, rig: Rig) -> tuple[Packet, Packet]:
+    """The packets of samples and of commands of the device `file` at `path`, for a `rig`.
+
+    Raises
+    ------
+    AbraceError
+        Naming the layout file, the field and what was expected.
+    """
+    beside = path.parent / file.layout
+    layout = read_layout(beside)
+    try:
+        return Packet(layout, "sample", channels_of(rig)), Packet(layout, "command", commands_of(rig))
+    except AbraceError as error:
+        raise AbraceError(f"layout file {beside}: {error}") from error
+
+
+class UdpDevice:
+    """A target behind UDP.
+
+    Parameters
+    ----------
+    file
+        The device file.
+    samples
+        Packet of a sample, its signals in the order of a reading.
+    commands
+        Packet of a command, its signals U of each group, then w.
+    calibration
+        Of the channels and of the commands.
+    sample_rate
+        Of the target's ticks [Hz].
+
+    Attributes
+    ----------
+    file
+        As given.
+    calibration
+        May be replaced between two exchanges.
+    samples
+        Good samples that came since `open`.
+    dropped
+        Packets that were not used since then, by the name of what was wrong with them.
+    """
+
+    def __init__(
+        self, file: UdpFile, samples: Packet, commands: Packet, calibration: Calibration, sample_rate: float
+    ) -> None:
+        self.calibration = calibration
+        self.samples = 0
+        self.dropped: Counter[str] = Counter()
+        self.file = file
+        self._name = f"udp device {file.address}:{file.port}"
+        self._sender = file.sender
+        self._samples, self._commands = samples, commands
+        self._echo = min(commands.modulus, samples.answered_modulus)
+        self._still = [0.0] * calibration.commands
+        self._period = 1e9 / sample_rate
+        self._allowed = max(2, round(file.timeout * sample_rate))
+        self._order = Succession(samples.modulus, self._period)
+        self._socket: socket.socket | None = None
+        self._counter = self._ticks = self._stamp = 0
+        self._exchanged = 0.0
+        self._last_outputs: list[float] = []
+
+    def open(self) -> None:
+        """Bind the socket and wait until two samples follow each other; commands say that they are not to be followed.
+
+        Raises
+        ------
+        AbraceError
+            If the port is taken.
+        DeviceError
+            If no good samples come: with what came instead.
+        """
+        self.close()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
+            self._socket.bind((str(self.file.local_address), self.file.local_port))
+        except OSError as error:
+            where = f"{self.file.local_address}:{self.file.local_port}"
+            self.close()
+            raise AbraceError(f"{self._name}: cannot receive at {where}: {error.strerror}") from error
+        self._socket.setblocking(False)
+        self._poll = select.poll()
+        self._poll.register(self._socket, select.POLLIN)
+        self._counter = 0
+        self._last_outputs = self.calibration.outputs(self._still)
+        self.samples = 0
+        self.dropped.clear()
+        self._begin()
+        end = time.monotonic() + OPEN_TIME
+        try:
+            while self._order.ticks == 0:
+                if time.monotonic() > end:
+                    found = self._found_instead(self.dropped)
+                    raise DeviceError(f"{self._name}: no good samples within {OPEN_TIME:g} s; {found}")
+                self._send(self._last_outputs, enable=False)
+                self._newest(time.monotonic() + ASKING_PERIOD)
+        except DeviceError:
+            self.close()
+            raise
+
+    def exchange(self, command: Sequence[float], table: float) -> Reading:
+        """Send `command` (groups,) [N] and the `table`'s acceleration [m/s^2]; wait for the target's next sample.
+
+        Of samples that have arrived already the newest is taken. `missed` counts those before it and those that were
+        lost on the way.
+
+        Raises
+        ------
+        DeviceError
+            If no sample comes within the time-out, or the target has not taken a command for so long.
+        """
+        before = self.dropped.copy()
+        self._last_outputs = self.calibration.outputs([*command, table])
+        begun = time.monotonic()
+        self._send(self._last_outputs, enable=True)
+        if begun - self._exchanged > self.file.timeout:
+            self._heard = begun
+        self._exchanged = begun
+        content = self._newest(begun + self.file.timeout)
+        if content is None:
+            found = self._found_instead(self.dropped - before)
+            self._begin()
+            raise DeviceError(f"{self._name}: no sample for {1e3 * self.file.timeout:g} ms; {found}")
+        if content.answered is not None and time.monotonic() - self._heard > self.file.timeout:
+            self._exchanged = 0.0
+            raise DeviceError(f"{self._name}: has not taken a command for {1e3 * self.file.timeout:g} ms")
+        values, clipped = self.calibration.measured(np.array(content.signals, dtype=np.float64))
+        return Reading(values, self._stamp, clipped, self._ticks - 1)
+
+    def make_safe(self) -> None:
+        """Tell the target to bring force and table to rest by itself, and send nothing more: its life counter stops.
+
+        Zero force from here would be a step of it: the target has the ramp.
+        """
+        with contextlib.suppress(DeviceError):
+            for _ in range(LAST_COMMANDS):
+                self._send(self._last_outputs, enable=False)
+
+    def close(self) -> None:
+        """Close the socket."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def counters(self) -> dict[str, int]:
+        """Good samples since `open`, and dropped packets by name."""
+        return {"samples": self.samples} | {f"dropped_{name}": count for name, count in sorted(self.dropped.items())}
+
+    def _begin(self) -> None:
+        """Take the next samples that follow each other, whatever their counter and time."""
+        self._order.reset()
+        self._clock = TargetClock()
+        self._exchanged = self._heard = 0.0
+        self._used = time.monotonic_ns()
+        self._answered: int | None = None
+        self._stamp = self._ticks = 0
+        self.calibration.reset()
+
+    def _send(self, outputs: list[float], enable: bool) -> None:
+        if self._socket is None:
+            raise DeviceError(f"{self._name}: not open")
+        self._counter += 1
+        packet = self._commands.encode(outputs, self._counter, time.time_ns(), enable=enable)
+        try:
+            self._socket.sendto(packet, (str(self.file.address), self.file.port))
+        except BlockingIOError:
+            self.dropped["not_sent"] += 1
+        except OSError as error:
+            raise DeviceError(f"{self._name}: cannot send: {error.strerror}") from error
+
+    def _newest(self, deadline: float) -> Content | None:
+        """The newest good sample, as soon as one is there and nothing more has arrived; None at the deadline [s]."""
+        newest: Content | None = None
+        self._ticks = 0
+        assert self._socket is not None
+        receive, size = self._socket.recvfrom, self._samples.length + 1
+        while True:
+            try:
+                packet, sender = receive(size)
+            except BlockingIOError:
+                if newest is not None:
+                    return newest
+                wait = deadline - time.monotonic()
+                if wait <= 0:
+                    return None
+                self._poll.poll(1e3 * wait)
+                continue
+            except OSError as error:
+                raise DeviceError(f"{self._name}: cannot receive: {error.strerror}") from error
+            try:
+                newest = self._judged(packet, sender)
+            except Malformed as fault:
+                self.dropped[str(fault)] += 1
+            if time.monotonic() >= deadline:
+                return newest
+
+    def _judged(self, packet: bytes, sender: tuple[str, int]) -> Content:
+        """What the packet says, if its sample may be used; keeps its stamp and the ticks since the last one used."""
+        if sender != self._sender:
+            raise Malformed("other_sender")
+        content = self._samples.decode(packet)
+        now, wall = time.monotonic_ns(), time.time_ns()
+        longest = self._allowed + int((now - self._used) / self._period)
+        ticks = self._order.advance(content.counter, content.time, longest)
+        self._used = now
+        if self._samples.wall_clock and content.time is not None:
+            age = float(wall - content.time)
+        else:
+            own = content.time if content.time is not None else round(self._order.ticks * self._period)
+            age = self._clock.age(own, now)
+        self._ticks += ticks
+        if abs(age) > 1e9 * self.file.timeout:
+            raise Malformed("stale")
+        self.samples += 1
+        self._stamp = max(wall - round(age + 1e9 * self.calibration.delay), self._stamp + 1)
+        if content.answered is not None and content.answered != self._answered:
+            behind = (self._counter - content.answered) % self._echo
+            if behind <= self._allowed:
+                self._answered, self._heard = content.answered, time.monotonic()
+        return content
+
+    def _found_instead(self, dropped: Counter[str]) -> str:
+        """What was received and not used, in words."""
+        if not dropped:
+            return f"nothing came from {self._sender[0]}:{self._sender[1]} to port {self.file.local_port}"
+        names = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in dropped.most_common())
+        return f"dropped: {names} (packets of {self._samples.length} bytes were expected)"

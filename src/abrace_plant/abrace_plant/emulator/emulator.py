@@ -1,0 +1,234 @@
+"""The emulator: a target that ticks by its own clock behind a port, with faults on demand.
+
+A fault is a text: `loss=0.01` (in both directions), `sample.delay=0.005` or `command.loss=0.2` (in one), `freeze=0.1`
+(the target does nothing for so many seconds), `a2=stuck` (a sensor, as for the node `plant`). With `@SECONDS` it begins
+so long after the start. `loss=0` ends a fault of the link, `clear` ends all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import select
+import socket
+import time
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+from abrace_core.config_file import read_config
+from abrace_core.errors import AbraceError
+from abrace_plant.devices.file import channels_of, kind_of, load_calibration
+from abrace_plant.devices.modbus import ModbusFile, register_blocks
+from abrace_plant.devices.udp import UdpFile, packets
+from abrace_plant.emulator.link import Faults
+from abrace_plant.emulator.modbus_port import ModbusPort
+from abrace_plant.emulator.ports import Port, UdpPort
+from abrace_plant.emulator.target import Target
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from abrace_plant.rig.model import Rig
+
+LONGEST_CATCH_UP = 0.01
+"""Seconds of ticks that were late which are made up for; after more the target's clock goes on from there."""
+LINK_FAULTS = tuple(field.name for field in fields(Faults))
+FREEZE = "freeze"
+
+
+def target_port(path: Path, rig: Rig, target: Target, bridge: str, seed: int) -> Port:
+    """The port of a `target` as the device file at `path` says, seen from the other end.
+
+    Parameters
+    ----------
+    path
+        Of the device file.
+    rig
+        The rig.
+    target
+        Who takes commands.
+    bridge
+        Address that samples are sent to.
+    seed
+        Of what happens by chance.
+
+    Raises
+    ------
+    AbraceError
+        Naming the file, the key, the value and what was expected.
+    """
+    kind = kind_of(path)
+    if kind == "udp":
+        file = read_config(path, UdpFile, "device")
+        samples, commands = packets(path, file, rig)
+        return UdpPort(file, samples, commands, load_calibration(path, file, rig), target, bridge, seed)
+    if kind == "modbus":
+        modbus = read_config(path, ModbusFile, "device")
+        _, inputs, outputs = register_blocks(path, modbus, rig)
+        address = str(modbus.address), modbus.port
+        return ModbusPort(address, inputs, outputs, load_calibration(path, modbus, rig), target)
+    raise AbraceError(f"device file {path}: kind: {kind!r}, expected one that can be emulated: udp, modbus")
+
+
+class Emulator:
+    """A rig behind a device file.
+
+    Parameters
+    ----------
+    path
+        Of the device file.
+    rig
+        The rig; its sample rate is that of the ticks.
+    bridge
+        Address that samples are sent to.
+    seed
+        Of the sensors' noise and of what happens by chance.
+    faults
+        Texts as above.
+    control_port
+        UDP port of this computer that takes texts while it runs, and `report`, each answered by a line; 0: none.
+
+    Raises
+    ------
+    AbraceError
+        As in `target_port`, and for a fault that there is not.
+    """
+
+    def __init__(
+        self, path: Path, rig: Rig, bridge: str, seed: int = 0, faults: Sequence[str] = (), control_port: int = 0
+    ) -> None:
+        self._channels = channels_of(rig)
+        self.target = Target(rig, seed, self._channels)
+        self.port = target_port(path, rig, self.target, bridge, seed)
+        self._later: list[tuple[float, str]] = []
+        self._sensor_faults: dict[str, str] = {}
+        self._frozen_until = 0.0
+        self._late = 0
+        self._worst_late = 0.0
+        self._started = time.monotonic()
+        self._control: socket.socket | None = None
+        try:
+            for text in faults:
+                self.cause(text)
+            if control_port:
+                self._control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+                self._control.setblocking(False)
+                self._control.bind(("127.0.0.1", control_port))
+        except AbraceError:
+            self.close()
+            raise
+        except OSError as error:
+            self.close()
+            raise AbraceError(f"control port {control_port}: {error.strerror}") from error
+
+    def run(self, stopped: Callable[[], bool], duration: float = math.inf) -> None:
+        """Tick until `stopped` says so, or `duration` seconds have passed."""
+        period = self.target.period
+        self._started = due = time.monotonic()
+        listening = [*self.port.sockets, *([self._control] if self._control else [])]
+        while not stopped():
+            now = time.monotonic()
+            if now - self._started > duration:
+                return
+            self._cause_what_is_due(now)
+            if now < self._frozen_until:
+                time.sleep(self._frozen_until - now)
+                due = self._frozen_until
+                continue
+            self.port.serve(now)
+            if now >= due:
+                self.port.publish(self.target.step(), now)
+                self._late += now - due > period
+                self._worst_late = max(self._worst_late, now - due)
+                due = due + period if now - due < LONGEST_CATCH_UP else now + period
+            wait = min([due, *(link.due for link in self.port.links.values())]) - time.monotonic()
+            if wait > 0:
+                select.select(listening, [], [], wait)
+            self._obey()
+
+    def cause(self, text: str) -> None:
+        """Let a fault begin, or end, as the `text` says.
+
+        Raises
+        ------
+        AbraceError
+            If there is no such fault, or its value is none that it can have.
+        """
+        name, _, rest = text.partition("=")
+        value, at, begin = rest.partition("@")
+        if at:
+            self._later.append((_number(text, begin), f"{name}={value}"))
+        elif text == "clear":
+            for link in self.port.links.values():
+                link.faults = Faults()
+            self._sensor_faults.clear()
+            self.target.set_sensor_faults([])
+        elif name == FREEZE:
+            self._frozen_until = time.monotonic() + _number(text, value)
+        elif name in self._channels:
+            kept = {key: kind for key, kind in self._sensor_faults.items() if key != name}
+            found = kept if value == "well" else kept | {name: value}
+            self.target.set_sensor_faults([f"{channel}={kind}" for channel, kind in found.items()])
+            self._sensor_faults = found
+        else:
+            direction, dot, fault = name.rpartition(".")
+            links = [link for key, link in self.port.links.items() if direction == key or not dot]
+            if fault not in LINK_FAULTS or not links:
+                known = ", ".join([*LINK_FAULTS, FREEZE, "clear", *self._channels])
+                raise AbraceError(f"fault {text!r}: expected NAME=VALUE or NAME=VALUE@SECONDS, the name one of {known}")
+            for link in links:
+                setattr(link.faults, fault, _number(text, value))
+
+    def report(self) -> dict[str, Any]:
+        """Counts so far, and the greatest steps that reached the actuators."""
+        target = self.target
+        return {
+            "ticks": target.tick + 1,
+            "late_ticks": self._late,
+            "worst_late": self._worst_late,
+            "stops": target.stops,
+            "following": target.following,
+            "worst_step": target.worst_step,
+            "worst_step_over_rate_limit": target.worst_step_over_rate_limit,
+            "worst_table_step": target.worst_table_step,
+            "worst_force": target.worst_force,
+            "worst_seconds_to_zero": target.worst_seconds_to_zero,
+            "dropped": dict(self.port.dropped),
+        }
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self.port.close()
+        if self._control is not None:
+            self._control.close()
+
+    def _cause_what_is_due(self, now: float) -> None:
+        for entry in [entry for entry in self._later if now - self._started >= entry[0]]:
+            self._later.remove(entry)
+            self.cause(entry[1])
+
+    def _obey(self) -> None:
+        """Carry out what came to the control port, and answer."""
+        with contextlib.suppress(BlockingIOError):
+            while self._control is not None:
+                text, sender = self._control.recvfrom(1024)
+                try:
+                    word = text.decode("utf-8", "replace").strip()
+                    answer = json.dumps(self.report()) if word == "report" else ""
+                    if not answer:
+                        self.cause(word)
+                except AbraceError as error:
+                    answer = str(error)
+                self._control.sendto((answer or "ok").encode(), sender)
+
+
+def _number(text: str, value: str) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not 0 <= number < math.inf:
+        raise AbraceError(f"fault {text!r}: {value!r}, expected a number, 0 or more")
+    return number

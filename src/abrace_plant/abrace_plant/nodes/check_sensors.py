@@ -1,0 +1,70 @@
+"""The node `check_sensors`: judges a rig's sensors by a record, from the hardware at rest or from a bag."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from abrace_bags.run import read_run
+from abrace_core.errors import AbraceError
+from abrace_core.files import write_text
+from abrace_core.node import AbraceNode, Parameter, find_file, run
+from abrace_plant.devices.device import Device
+from abrace_plant.devices.file import load_device
+from abrace_plant.devices.sensor_check import check_sensors
+from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.model import Rig
+
+PARAMETERS = [
+    Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
+    Parameter("device", "", "device file: reads the hardware, with zero force and the table at rest"),
+    Parameter("bag", "", "bag with the rig's response, instead of the hardware"),
+    Parameter("duration", 10.0, "seconds of the hardware's readings", minimum=1.0),
+    Parameter("output", "", "JSON file of what is printed; empty: none"),
+]
+
+
+class CheckSensors(AbraceNode):
+    """Reads, judges and ends; with code 1 where a channel has a fault."""
+
+    def __init__(self) -> None:
+        super().__init__("check_sensors", PARAMETERS)
+
+    def work(self) -> None:
+        """Read, judge, print, write."""
+        given = self.parameters
+        rig = load_rig(find_file(given.rig, "abrace_plant", "config", ".yaml", "rig"))
+        if bool(given.device) == bool(given.bag):
+            raise AbraceError("parameters device, bag: expected one of them")
+        ranges = None
+        if given.bag:
+            recorded = read_run(given.bag)
+            readings = np.column_stack([recorded.outputs, recorded.ground_acceleration])
+        else:
+            device = load_device(given.device, rig)
+            ranges = getattr(getattr(device, "calibration", None), "range", None)
+            readings = read_at_rest(device, rig, round(given.duration * rig.sample_rate))
+        found = check_sensors(rig, readings, ranges)
+        print(found.text())
+        if given.output:
+            write_text(Path(given.output), json.dumps(asdict(found), indent=1) + "\n")
+        self.exit_code = 0 if found.well else 1
+
+
+def read_at_rest(device: Device, rig: Rig, samples: int) -> NDArray[np.float64]:
+    """(samples, channels) of the device with zero force and the table at rest."""
+    device.open()
+    try:
+        return np.array([device.exchange([0.0] * rig.groups, 0.0).values for _ in range(samples)])
+    finally:
+        device.make_safe()
+        device.close()
+
+
+def main() -> int:
+    """Entry point."""
+    return run(CheckSensors)

@@ -1,0 +1,53 @@
+"""The program `emulator`: a rig behind a device file, for tests of everything on this side of the cable; no ROS."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+from pathlib import Path
+
+from abrace_core.errors import AbraceError
+from abrace_core.files import write_text
+from abrace_plant.emulator.emulator import Emulator
+from abrace_plant.rig.file import load_rig
+
+CONFIG = Path(__file__).parents[2] / "config"
+
+
+def arguments() -> argparse.ArgumentParser:
+    """The program's arguments."""
+    parser = argparse.ArgumentParser(prog="emulator", description="A rig behind a device file, with faults on demand.")
+    parser.add_argument("--rig", type=Path, required=True, help="rig file; its sample_rate is that of the ticks")
+    parser.add_argument("--device", type=Path, required=True, help="device file of the kind udp or modbus")
+    parser.add_argument("--bridge", default="127.0.0.1", help="address that samples are sent to (127.0.0.1)")
+    parser.add_argument("--seed", type=int, default=0, help="of the sensors' noise and of what happens by chance (0)")
+    parser.add_argument("--fault", action="append", default=[], help="such as loss=0.01, a2=stuck@20 (docs/bridge.md)")
+    parser.add_argument("--control", type=int, default=0, metavar="PORT", help="UDP port for faults while it runs")
+    parser.add_argument("--duration", type=float, default=float("inf"), help="seconds to run (until stopped)")
+    parser.add_argument("--log", type=Path, help="JSON file of the counts, written at the end")
+    return parser
+
+
+def main() -> int:
+    """Entry point."""
+    given = arguments().parse_args()
+    stops: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda which, _: stops.append(which))
+    try:
+        emulator = Emulator(given.device, load_rig(given.rig), given.bridge, given.seed, given.fault, given.control)
+        print("emulator: ticking", flush=True)
+        try:
+            emulator.run(lambda: bool(stops), given.duration)
+        finally:
+            emulator.close()
+        report = json.dumps(emulator.report(), indent=1) + "\n"
+        if given.log is not None:
+            write_text(given.log, report)
+        print(report, end="", flush=True)
+    except AbraceError as error:
+        print(f"emulator: {error}", file=sys.stderr, flush=True)
+        return 2
+    return 0

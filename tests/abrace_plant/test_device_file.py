@@ -1,0 +1,120 @@
+"""Device files: the kinds that there are, a laboratory's own by its entry point, and the examples of the docs."""
+
+import sys
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+from udp_target import CONFIG, RIG
+
+from abrace_core.errors import AbraceError
+from abrace_plant.devices.device import Device, DeviceError
+from abrace_plant.devices.file import load_device
+from abrace_plant.devices.udp import UdpDevice
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_the_kind_udp_is_abraces_own():
+    assert isinstance(load_device(CONFIG / "devices/emulator.yaml", RIG), UdpDevice)
+
+
+@pytest.mark.usefixtures("laboratory")
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("kind: tcp\n", "kind: 'tcp', expected one of udp, modbus, or an entry point in abrace.devices"),
+        ("port: 5\n", "kind: key is missing"),
+        ("kind: [udp\n", "not YAML"),
+        ("kind: broken\n", "kind: broken: no_such_package:load cannot be loaded: No module named 'no_such_package'"),
+    ],
+)
+def test_what_is_no_device_file_is_refused(tmp_path, content, message):
+    path = tmp_path / "device.yaml"
+    path.write_text(content)
+    if "tcp" in content:
+        message = message.replace("modbus,", "modbus, broken, ni_daqmx,")
+    with pytest.raises(AbraceError) as refused:
+        load_device(path, RIG)
+    assert str(refused.value).startswith(f"device file {path}: ")
+    assert message in str(refused.value)
+
+
+@pytest.fixture
+def laboratory(tmp_path, monkeypatch):
+    """An installed package with entry points of its own, as the page says: the card, and one that is broken."""
+    site = tmp_path / "site"
+    (site / "my_laboratory").mkdir(parents=True)
+    (site / "my_laboratory/ni_daqmx.py").write_text((DOCS / "ni_daqmx.py").read_text())
+    (site / "my_laboratory-1.dist-info").mkdir()
+    (site / "my_laboratory-1.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: my_laboratory\nVersion: 1\n")
+    entry = next(
+        line for line in (DOCS / "bridge.md").read_text().splitlines() if "my_laboratory.ni_daqmx:load" in line
+    )
+    point = entry.partition('["')[2].partition('"]')[0]
+    (site / "my_laboratory-1.dist-info/entry_points.txt").write_text(
+        f"[abrace.devices]\n{point}\nbroken = no_such_package:load\n"
+    )
+    monkeypatch.syspath_prepend(site)
+
+
+class Task:
+    """As much of nidaqmx.Task as the example uses."""
+
+    written: list[list[float]] = []
+    scans: list[list[float]] = []
+
+    def __init__(self) -> None:
+        self.ao_channels = self.ai_channels = self.timing = self.in_stream = self
+        self.avail_samp_per_chan = 0
+
+    def __getattr__(self, name):
+        return lambda *_, **__: None
+
+    def write(self, values):
+        Task.written.append(values)
+
+    def read(self, count, timeout):
+        if len(Task.scans) < count:
+            raise RuntimeError(f"no scan within {timeout} s")
+        found = Task.scans[:count]
+        del Task.scans[:count]
+        return np.array(found).T.tolist()
+
+
+@pytest.fixture
+def card(tmp_path, monkeypatch):
+    module = types.ModuleType("nidaqmx")
+    module.Task = Task
+    module.constants = types.ModuleType("nidaqmx.constants")
+    module.constants.AcquisitionType = types.SimpleNamespace(CONTINUOUS=1)
+    monkeypatch.setitem(sys.modules, "nidaqmx", module)
+    monkeypatch.setitem(sys.modules, "nidaqmx.constants", module.constants)
+    monkeypatch.setattr(Task, "written", [])
+    monkeypatch.setattr(Task, "scans", [])
+    text = (DOCS / "bridge.md").read_text().partition("    kind: ni_daqmx\n")
+    path = tmp_path / "device.yaml"
+    lines = [line.strip() for line in (text[1] + text[2]).partition("\n\n")[0].splitlines()]
+    path.write_text("\n".join(lines).replace("calibration.yaml", str(CONFIG / "devices/calibration.yaml")))
+    return load_device(path, RIG)
+
+
+@pytest.mark.usefixtures("laboratory")
+def test_the_card_of_the_docs_is_a_device(card: Device):
+    card.open()
+    Task.scans += [[1.0, 0, 0, 0, 0, 0, 0, -1.0, 0.1], [2.0, 0, 0, 0, 0, 0, 0, -10.0, 0.1]]
+    reading = card.exchange([5000.0], -1.0)
+    np.testing.assert_allclose(reading.values[[0, 7, 8]], [0.01, -2800.0, 0.015])
+    assert (reading.clipped, reading.missed) == (0, 0)
+    assert card.exchange([0.0], 0.0).clipped == 1 << 7
+    with pytest.raises(DeviceError, match=r"NI-DAQmx Dev1/ai0:8: no scan within 0.02 s"):
+        card.exchange([0.0], 0.0)
+    card.make_safe()
+    card.close()
+    assert Task.written == [[0.0, 0.0], [2.0, -1.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]
+
+
+def test_the_card_of_the_docs_has_the_lines_that_the_page_says():
+    lines = [line.strip() for line in (DOCS / "ni_daqmx.py").read_text().splitlines()]
+    assert sum(1 for line in lines if line and not line.startswith(('"""', "#"))) <= 60

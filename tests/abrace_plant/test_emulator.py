@@ -1,0 +1,228 @@
+"""The emulator: what a target has to do by itself, faults of its links, and the program behind a real device."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from udp_target import CHANNELS, CONFIG, RIG, device_file, free_ports
+
+from abrace_core.errors import AbraceError
+from abrace_plant.devices.device import Device, DeviceError
+from abrace_plant.devices.file import load_device
+from abrace_plant.emulator.emulator import Emulator
+from abrace_plant.emulator.link import Link
+from abrace_plant.emulator.target import LIFE_TIME, RAMP_TIME, Target
+
+RIG_FILE = CONFIG / "ncree_three_storey.yaml"
+
+
+def following(force: float, table: float) -> Target:
+    """A target that follows a force [N] and an acceleration of the table [m/s^2], both reached slowly."""
+    target = Target(RIG, 0, CHANNELS)
+    target.step()
+    for share in (0.0, *np.linspace(0, 1, 100)):
+        target.command(np.array([share * force, share * table]), enabled=True)
+        target.step()
+    assert target.following
+    return target
+
+
+def test_a_target_follows_once_it_has_been_commanded_zero():
+    target = Target(RIG, 0, CHANNELS)
+    for _ in range(5):
+        target.command(np.array([5e3, 0.0]), enabled=True)
+        target.step()
+    assert not target.following
+    assert target.worst_force == 0.0
+    for force in (0.0, 10.0):
+        target.command(np.array([force, 0.0]), enabled=True)
+        target.step()
+    assert target.worst_force == 10.0
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_a_target_brings_force_and_table_to_rest_by_itself(told):
+    target = following(20e3, 0.5)
+    step = target.worst_step
+    assert target._velocity > 0.04
+    if told:
+        target.command(np.zeros(2), enabled=False)
+    for _ in range(round((LIFE_TIME + RAMP_TIME) * RIG.sample_rate) + 2):
+        target.step()
+    assert (target.following, target.stops, target._acting[0]) == (False, 1, 0.0)
+    assert target.worst_seconds_to_zero <= RAMP_TIME + (0 if told else LIFE_TIME) + 2 * target.period + 1e-9
+    assert target.worst_step < 1.1 * max(step, np.pi / 2 * 20e3 * target.period / RAMP_TIME)
+    for _ in range(1000):
+        target.step()
+    assert (target._velocity, target._acting[1]) == (0.0, 0.0)
+
+
+def test_after_a_stop_old_commands_do_not_act_until_one_of_zero():
+    target = following(20e3, 0.0)
+    target.stop()
+    for _ in range(100):
+        target.command(np.array([20e3, 0.0]), enabled=True)
+        target.step()
+    assert (target.following, target._acting[0]) == (False, 0.0)
+    target.command(np.zeros(2), enabled=True)
+    assert target.following
+
+
+def test_the_greatest_step_that_reached_the_actuators_is_kept():
+    target = following(0.0, 0.0)
+    target.command(np.array([3e3, 0.7]), enabled=True)
+    target.step()
+    assert (target.worst_step, target.worst_table_step, target.worst_force) == (3e3, 0.7, 3e3)
+    assert target.worst_step_over_rate_limit == pytest.approx(3e3 / (RIG.rate_limit[0] / 500))
+
+
+def passed(packets: int = 2000, **faults: float) -> list[int]:
+    """Numbers of the packets that leave a link with faults, of one a millisecond."""
+    link, left = Link(1), []
+    for name, value in faults.items():
+        setattr(link.faults, name, value)
+    for number in range(packets):
+        link.put(number.to_bytes(4, "big"), number * 1e-3)
+        left += [int.from_bytes(packet, "big") for packet in link.take(number * 1e-3)]
+    return left + [int.from_bytes(packet, "big") for packet in link.take(1e9)]
+
+
+def test_a_good_link_passes_every_packet_at_once():
+    assert passed() == list(range(2000))
+
+
+@pytest.mark.parametrize(
+    ("name", "seen"),
+    [
+        ("loss", lambda left: 2000 - len(set(left))),
+        ("repetition", lambda left: len(left) - len(set(left))),
+        ("reordering", lambda left: sum(after < before for before, after in pairwise(left))),
+        ("corruption", lambda left: 2000 - len(set(left) & set(range(2000)))),
+    ],
+)
+def test_a_share_of_packets_is_lost_repeated_overtaken_or_corrupted(name, seen):
+    assert 140 < seen(passed(**{name: 0.1})) < 260
+
+
+def test_delayed_packets_leave_when_they_are_due():
+    link = Link(1)
+    link.faults.delay = 0.005
+    link.put(b"x", 1.0)
+    assert (link.take(1.0049), link.due) == ([], 1.005)
+    assert link.take(1.0051) == [b"x"]
+
+
+def test_jitter_delays_by_different_times():
+    assert passed(jitter=0.01) != sorted(passed(jitter=0.01)) == list(range(2000))
+
+
+@pytest.mark.parametrize(
+    "text", ["", "wind=1", "loss=much", "loss=-1", "other.loss=0.1", "a2=broken", "delay=1@soon", "freeze=nan"]
+)
+def test_a_fault_that_there_is_not_is_refused(tmp_path, text):
+    emulator = Emulator(device_file(tmp_path), RIG, "127.0.0.1")
+    with pytest.raises(AbraceError, match=r"fault '"):
+        emulator.cause(text)
+    emulator.close()
+
+
+def start(folder, *arguments: str) -> tuple[subprocess.Popen, int]:
+    """The program, ticking, and its control port."""
+    (control,) = free_ports(1)
+    command = [sys.executable, "-c", "import sys; from abrace_plant.nodes.emulator import main; sys.exit(main())"]
+    command += ["--rig", str(RIG_FILE), "--device", str(folder / "device.yaml"), "--log", str(folder / "log.json")]
+    process = subprocess.Popen(
+        [*command, "--control", str(control), *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "emulator: ticking\n", process.stderr.read()
+    return process, control
+
+
+def ask(port: int, text: str) -> str:
+    """The answer of the control port."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        asking.settimeout(10.0)
+        asking.sendto(text.encode(), ("127.0.0.1", port))
+        return asking.recv(4096).decode()
+
+
+def exchange(device: Device, times: int) -> None:
+    """Command zero."""
+    for _ in range(times):
+        device.exchange([0.0], 0.0)
+
+
+def test_the_program_is_a_rig_with_faults_on_demand_and_stops_by_itself(tmp_path):
+    path = device_file(tmp_path, timeout=0.5, calibrated=True)
+    process, control = start(tmp_path)
+    try:
+        device = load_device(path, RIG)
+        device.open()
+        for force in (0.0, 0.0, *np.linspace(0, 4e3, 100)):
+            reading = device.exchange([force], 0.0)
+        assert reading.values[CHANNELS.index("f")] == pytest.approx(4e3, rel=0.1)
+
+        assert ask(control, "a2=zero") == "ok"
+        assert ask(control, "sample.corruption=0.5") == "ok"
+        assert ask(control, "wind=1").startswith("fault 'wind=1': expected NAME=VALUE")
+        readings = [device.exchange([4e3], 0.0) for _ in range(100)]
+        assert {reading.values[CHANNELS.index("a2")] for reading in readings[5:]} == {0.0}
+        assert device.dropped["wrong_crc"] > 20
+        assert sum(reading.missed for reading in readings) >= device.dropped["wrong_crc"] - 5
+        assert ask(control, "clear") == "ok"
+
+        assert json.loads(ask(control, "report"))["stops"] == 0
+        deadline = time.monotonic() + 10
+        while (report := json.loads(ask(control, "report")))["following"] and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert report["stops"] == 1, "the commands stopped, and the target went on"
+
+        assert ask(control, "freeze=0.8") == "ok"
+        with pytest.raises(DeviceError, match="no sample for 500 ms"):
+            exchange(device, 500)
+        device.close()
+    finally:
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=20)
+    assert (process.returncode, errors) == (0, "")
+    log = json.loads((tmp_path / "log.json").read_text())
+    assert json.loads(output) == log
+    assert log["worst_force"] == pytest.approx(4e3)
+    assert log["worst_step_over_rate_limit"] < 0.5
+    assert log["stops"] == 1
+
+
+def test_the_program_needs_no_ros_and_says_what_is_wrong_in_one_line():
+    code = "import sys, abrace_plant.nodes.emulator; sys.exit('rclpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    command = [sys.executable, "-c", "import sys; from abrace_plant.nodes.emulator import main; sys.exit(main())"]
+    run = subprocess.run(
+        [*command, "--rig", RIG_FILE, "--device", "none.yaml"], capture_output=True, text=True, check=False
+    )
+    assert (run.returncode, run.stdout) == (2, "")
+    assert run.stderr == "emulator: device file none.yaml: No such file or directory\n"
+
+
+def test_two_emulators_at_one_port_are_refused(tmp_path):
+    path = device_file(tmp_path)
+    first = Emulator(path, RIG, "127.0.0.1")
+    with pytest.raises(AbraceError, match=r"cannot receive at 127.0.0.1:"):
+        Emulator(path, RIG, "127.0.0.1")
+    first.close()
+
+
+def test_it_ticks_at_the_rigs_rate(tmp_path):
+    emulator = Emulator(device_file(tmp_path), RIG, "127.0.0.1")
+    thread = threading.Thread(target=emulator.run, args=(lambda: False, 0.5))
+    thread.start()
+    thread.join()
+    emulator.close()
+    assert emulator.report()["ticks"] <= 251
+    assert emulator.report()["ticks"] + emulator.report()["late_ticks"] * 10 >= 240

@@ -1,0 +1,171 @@
+"""The Modbus device against pymodbus's own server: LabJack's T7 by its register map."""
+
+import dataclasses
+import socket
+import struct
+import threading
+import time
+
+import numpy as np
+import pytest
+from udp_target import CHANNELS, CONFIG, RIG
+
+from abrace_core.errors import AbraceError
+from abrace_plant.devices.device import DeviceError
+from abrace_plant.devices.file import load_device
+from abrace_plant.devices.registers import Block, Register
+from abrace_plant.emulator.emulator import Emulator
+
+SLOW = dataclasses.replace(RIG, sample_rate=100.0)
+MAP = CONFIG / "devices/labjack_t7.yaml"
+
+
+def device_file(folder, **changes):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    path = folder / "t7.yaml"
+    lines = {"kind": "modbus", "address": "127.0.0.1", "port": port, "registers": MAP, "timeout": 0.5}
+    lines["calibration"] = CONFIG / "devices/labjack_t7_calibration.yaml"
+    path.write_text("".join(f"{key}: {value}\n" for key, value in (lines | changes).items()))
+    return path
+
+
+class Running:
+    """An emulated T7 in a thread."""
+
+    def __init__(self, path) -> None:
+        self.emulator = Emulator(path, SLOW, "127.0.0.1")
+        self.stopped = False
+        self.thread = threading.Thread(target=lambda: self.emulator.run(lambda: self.stopped))
+        self.thread.start()
+
+    def stop(self) -> None:
+        self.stopped = True
+        self.thread.join()
+        self.emulator.close()
+
+
+@pytest.fixture
+def t7(tmp_path):
+    path = device_file(tmp_path)
+    running = Running(path)
+    device = load_device(path, SLOW)
+    device.open()
+    yield device, running
+    device.close()
+    running.stop()
+
+
+def test_readings_are_the_rigs_and_commands_reach_it(t7):
+    device, running = t7
+    for _ in range(5):
+        device.exchange([0.0], 0.0)
+    for _ in range(60):
+        reading = device.exchange([2000.0], 0.0)
+    assert running.emulator.target.following
+    assert running.emulator.target.worst_force == pytest.approx(2000.0, rel=1e-5)
+    assert reading.values[CHANNELS.index("f")] == pytest.approx(2000.0, rel=0.1)
+    assert reading.clipped == 0
+
+
+def test_ticks_are_a_sample_period_apart_and_those_that_passed_are_missed(t7):
+    device, _ = t7
+    stamps, missed = [], 0
+    for _ in range(30):
+        reading = device.exchange([0.0], 0.0)
+        stamps.append(reading.stamp)
+        missed += reading.missed
+    assert (stamps[-1] - stamps[0]) * 1e-9 == pytest.approx((29 + missed) * 0.01, abs=0.008)
+    time.sleep(0.055)
+    assert device.exchange([0.0], 0.0).missed >= 5
+
+
+def test_what_is_set_up_and_the_life_counter_are_written(t7):
+    device, running = t7
+    registers = running.emulator.port._registers
+    for _ in range(3):
+        device.exchange([0.0], 0.0)
+    assert struct.unpack(">f", struct.pack(">2H", *registers[43900:43902])) == (10.0,)
+    before = registers[46180]
+    device.exchange([0.0], 0.0)
+    deadline = time.monotonic() + 5.0
+    while registers[46180] == before and time.monotonic() < deadline:
+        time.sleep(0.001)
+    assert registers[46180] == before + 1
+
+
+def test_make_safe_brings_the_outputs_to_zero_without_a_step(t7):
+    device, running = t7
+    for force in (0.0, 0.0, 0.0, *np.linspace(0, 10e3, 50)):
+        device.exchange([force], 0.0)
+    step = running.emulator.target.worst_step
+    device.make_safe()
+    time.sleep(0.05)
+    assert struct.unpack(">f", struct.pack(">2H", *running.emulator.port._registers[1000:1002])) == pytest.approx(
+        (2.5,)
+    )
+    assert running.emulator.target.worst_step < max(3 * step, 2000.0)
+    assert not running.emulator.target._acting[0]
+
+
+def test_a_device_that_stops_answering_is_an_error(t7):
+    device, running = t7
+    device.exchange([0.0], 0.0)
+    running.stop()
+    running.stop = lambda: None
+    where = r"modbus device LabJack T7 at 127.0.0.1:\d+: write registers 1000 to 1003: "
+    with pytest.raises(DeviceError, match=where):
+        [device.exchange([0.0], 0.0) for _ in range(3)]
+    device.make_safe()
+
+
+def test_a_device_that_is_not_there_is_an_error(tmp_path):
+    device = load_device(device_file(tmp_path), SLOW)
+    with pytest.raises(DeviceError, match=r"modbus device LabJack T7 at 127.0.0.1:\d+: no connection within 2 s"):
+        device.open()
+
+
+def test_a_rig_that_is_too_fast_is_refused_by_the_devices_name(tmp_path):
+    path = device_file(tmp_path)
+    with pytest.raises(AbraceError) as refused:
+        load_device(path, RIG)
+    assert str(refused.value) == (
+        f"device file {path}: LabJack T7 takes at most 250 samples/s; the sample_rate of ncree_three_storey is 500 Hz, "
+        "expected a rig file with a lower one"
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("  x3: {register: 4}\n", "", "inputs: no entry x3, expected x1, x2, x3, xf"),
+        ("  x3: {register: 4}", "  x3: {register: 3}", "inputs.x3: register 3 belongs to another signal"),
+        ("  x3: {register: 4}", "  x3: {register: 70000}", "inputs.x3.register: 70000, expected otherwise"),
+        ("  x3: {register: 4}", "  x3: {register: 4, type: double}", "inputs.x3.type: 'double', expected otherwise"),
+        ("  x3: {register: 4}", "  x3: {register: 4}\n  x9: {register: 90}", "inputs.x9: unknown, expected x1, x2"),
+    ],
+)
+def test_a_register_map_that_is_wrong_is_refused_by_its_key(tmp_path, old, new, message):
+    (tmp_path / "map.yaml").write_text(MAP.read_text().replace(old, new))
+    with pytest.raises(AbraceError) as refused:
+        load_device(device_file(tmp_path, registers="map.yaml"), SLOW)
+    assert str(refused.value).startswith(f"register map file {tmp_path / 'map.yaml'}: {message}")
+
+
+@pytest.mark.parametrize(("word_order", "words"), [("big", [0x3FC0, 0, 0xFFFE, 7]), ("little", [0, 0x3FC0, 0xFFFE, 7])])
+def test_registers_hold_values_in_either_order_of_words(word_order, words):
+    entries = [
+        (0, Register(register=10)),
+        (2, Register(register=12, type="int16")),
+        (1, Register(register=13, type="uint16")),
+    ]
+    block = Block(entries, word_order)
+    assert block.encode([1.5, -2.4, 7.0]) == words
+    assert block.decode(words) == (1.5, -2, 7)
+    assert (block.first, block.words, block.positions) == (10, 4, [0, 2, 1])
+
+
+def test_a_gap_between_signals_is_read_over():
+    block = Block([(0, Register(register=0)), (1, Register(register=4))], "big")
+    assert block.decode([0x3FC0, 0, 99, 99, 0x4000, 0]) == (1.5, 2.0)

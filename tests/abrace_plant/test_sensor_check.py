@@ -1,0 +1,115 @@
+"""Sensors judged by their records: at rest, and in the paper's tests with faults planted."""
+
+import numpy as np
+import pytest
+from laboratory import Laboratory
+from udp_target import CHANNELS, RIG
+
+from abrace_core.errors import AbraceError
+from abrace_core.noise import banded_noise
+from abrace_plant.devices.sensor_check import check_sensors
+from abrace_plant.rig.sensors import Measurement, parse_fault
+
+SAMPLES = 12_000
+
+
+@pytest.fixture(scope="module")
+def at_rest() -> np.ndarray:
+    sensors = Measurement(RIG.sensors.channels(RIG.floors, RIG.groups), 1, 1 / RIG.sample_rate)
+    return sensors.record(np.zeros((SAMPLES, len(CHANNELS))))
+
+
+@pytest.fixture(scope="module")
+def shaken() -> np.ndarray:
+    ground = banded_noise(SAMPLES, RIG.sample_rate, (0.3, 10.0), 0.15, seed=3)
+    run = Laboratory(RIG, 2).open_loop("shaken", ground, np.zeros(SAMPLES))
+    return np.column_stack([run.outputs, run.ground_acceleration])
+
+
+def faults(readings: np.ndarray) -> dict[str, tuple[str, ...]]:
+    """The channels with a fault, and the first words of each."""
+    return {
+        channel.name: tuple(text.partition(":")[0] for text in channel.faults)
+        for channel in check_sensors(RIG, readings).channels
+        if channel.faults
+    }
+
+
+def test_nothing_is_wrong_with_a_rig_at_rest_and_it_says_what_cannot_be_judged(at_rest):
+    found = check_sensors(RIG, at_rest)
+    assert found.well
+    assert not found.judged
+    assert "not judged, the rig hardly moved" in found.text()
+    for channel, sensor in zip(found.channels, RIG.sensors.channels(3, 1), strict=True):
+        assert channel.noise == pytest.approx(sensor.noise, rel=0.05)
+        assert abs(channel.mean) < 0.1 * sensor.noise
+
+
+def test_nothing_is_wrong_with_a_rig_that_is_shaken(shaken):
+    found = check_sensors(RIG, shaken)
+    assert found.judged
+    assert found.well, found.text()
+
+
+def with_fault(shaken: np.ndarray, fault: str) -> np.ndarray:
+    sensors = Measurement(RIG.sensors.channels(3, 1), 1, 1 / RIG.sample_rate)
+    sensors.faults = (parse_fault(fault, CHANNELS, 1 / RIG.sample_rate),)
+    return sensors.record(shaken)
+
+
+@pytest.mark.parametrize("channel", ["x1", "xf", "a2", "f", "w"])
+@pytest.mark.parametrize(("kind", "name"), [("stuck@20", "dead"), ("zero", "dead"), ("noise", "noisy")])
+def test_a_sensor_that_failed_is_named(shaken, channel, kind, name):
+    found = faults(with_fault(shaken, f"{channel}={kind}"))
+    assert name in found[channel]
+    assert not {other for other, texts in found.items() if other != channel and name in texts}
+
+
+def test_a_channel_that_reaches_its_end_is_named(at_rest):
+    readings = at_rest.copy()
+    readings[700:703, 4] = RIG.sensors.acceleration.range
+    (found,) = (channel for channel in check_sensors(RIG, readings).channels if channel.faults)
+    assert found.faults == ("clipped: 3 samples at the end of the range, 6 m/s^2", *found.faults[1:])
+    assert found.range_use == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("pair", [("a1", "a2"), ("a2", "a3"), ("a1", "a3")])
+def test_swapped_accelerometers_are_named(shaken, pair):
+    readings = shaken.copy()
+    one, other = (CHANNELS.index(name) for name in pair)
+    readings[:, [one, other]] = readings[:, [other, one]]
+    found = faults(readings)
+    assert {name for name, texts in found.items() if "swapped" in texts} == set(pair), found
+
+
+def test_swapped_displacement_sensors_are_found_where_their_floors_are(shaken):
+    readings = shaken.copy()
+    readings[:, [1, 2]] = readings[:, [2, 1]]
+    found = faults(readings)
+    assert {"a2", "a3"} == {name for name, texts in found.items() if "swapped" in texts}, found
+
+
+@pytest.mark.parametrize("channel", ["a1", "a2", "a3", "xf"])
+def test_a_wrong_sign_is_named(shaken, channel):
+    readings = shaken.copy()
+    readings[:, CHANNELS.index(channel)] *= -1
+    assert faults(readings) == {channel: ("wrong sign",)}
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.25])
+def test_a_wrong_gain_is_named(shaken, factor):
+    readings = shaken.copy()
+    readings[:, CHANNELS.index("a2")] *= factor
+    assert faults(readings) == {"a2": ("gain",)}
+
+
+def test_drift_is_the_change_over_the_record(at_rest):
+    readings = at_rest.copy()
+    readings[:, 0] += np.linspace(0, 0.002, SAMPLES)
+    assert check_sensors(RIG, readings).channels[0].drift == pytest.approx(0.002, rel=0.01)
+
+
+@pytest.mark.parametrize("shape", [(99, 9), (200, 8), (900,)])
+def test_a_record_that_does_not_fit_is_refused(shape):
+    with pytest.raises(AbraceError, match="expected at least 100 samples of 9 channels"):
+        check_sensors(RIG, np.zeros(shape))

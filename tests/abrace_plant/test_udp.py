@@ -1,0 +1,258 @@
+"""The UDP device over real sockets: what is used, what is dropped and under which name, and what is an error."""
+
+import math
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+from bridge_endurance import bridge_endurance
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from udp_target import CHANNELS, KINDS, PERIOD, RIG, UdpTarget, device_file, malformed, values_of
+
+from abrace_core.errors import AbraceError
+from abrace_plant.devices.device import DeviceError
+from abrace_plant.devices.udp import LAST_COMMANDS, load
+
+
+@pytest.fixture
+def target(tmp_path):
+    with UdpTarget(device_file(tmp_path)) as opened:
+        opened.open()
+        yield opened
+
+
+def used(target: UdpTarget) -> float:
+    """Counter of the sample that the next exchange gives."""
+    reading = target.device.exchange([0.0], 0.0)
+    np.testing.assert_allclose(reading.values, values_of(round(reading.values[0])), rtol=1e-15)
+    return float(reading.values[0])
+
+
+def test_a_sample_is_answered_by_a_command_and_the_next_sample_comes(target):
+    target.answered()
+    for k in range(1, 4):
+        expected = target.tick()
+        reading = target.device.exchange([100.0 * k], -0.1 * k)
+        assert reading.values.tolist() == values_of(expected)
+        assert (reading.clipped, reading.missed) == (0, 0)
+        before = target.last.counter
+        assert target.answered() == before + 1
+        assert target.last.signals == (100.0 * k, -0.1 * k)
+        assert target.last.enabled
+
+
+def test_of_samples_that_have_arrived_the_newest_is_used_and_the_others_are_missed(target):
+    for _ in range(4):
+        newest = target.tick()
+    reading = target.device.exchange([0.0], 0.0)
+    assert (reading.values[0], reading.missed) == (newest, 3)
+
+
+def test_samples_that_were_lost_are_missed(target):
+    target.counter += 2
+    newest = target.tick()
+    reading = target.device.exchange([0.0], 0.0)
+    assert (reading.values[0], reading.missed) == (newest, 2)
+
+
+def test_stamps_are_those_of_the_ticks_and_not_of_the_packets(target):
+    stamps = []
+    for k in range(50):
+        target.tick()
+        time.sleep(PERIOD * 1e-9 + 0.001 * (k % 3))
+        stamps.append(target.device.exchange([0.0], 0.0).stamp)
+        assert stamps[-1] <= time.time_ns()
+    assert (np.diff(stamps) > 0).all()
+
+
+WRONG = {
+    "wrong_length": lambda target: target.sample(target.counter + 1)[:-1],
+    "wrong_crc": lambda target: target.sample(target.counter + 1)[:-1] + b"\0",
+    "wrong_constant": lambda target: target.samples.sign(b"\0" + target.sample(target.counter + 1)[1:]),
+    "not_finite": lambda target: target.sample(target.counter + 1, [math.nan] * len(CHANNELS)),
+    "repeated": lambda target: target.sample(target.counter),
+    "old": lambda target: target.sample(target.counter - 1),
+    "jumping": lambda target: target.sample(target.counter + 10**6),
+    "wrong_time": lambda target: target.sample(target.counter + 2, time=(target.counter + 1) * PERIOD),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_bad_packet_is_not_used_and_counted_by_its_name(target, name):
+    target.tick()
+    used(target)
+    before = target.device.dropped.copy()
+    target.send(*[WRONG[name](target)] * 3)
+    expected = target.tick()
+    target.send(WRONG[name](target))
+    assert used(target) == expected
+    assert target.device.dropped - before == {name: 4}
+    assert target.device.counters()[f"dropped_{name}"] == 4
+
+
+def test_a_packet_of_another_sender_is_not_used_and_counted(target):
+    before = target.device.dropped.copy()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.sendto(target.sample(target.counter + 1, [1e6] * len(CHANNELS)), target.to)
+    expected = target.tick()
+    assert used(target) == expected
+    assert target.device.dropped - before == {"other_sender": 1}
+
+
+def test_a_sample_that_comes_late_is_not_used(tmp_path):
+    with UdpTarget(device_file(tmp_path, timeout=0.2)) as target:
+        target.open()
+        time.sleep(0.5)
+        target.tick()
+        with pytest.raises(DeviceError, match=r"no sample for 200 ms; dropped: 1 stale"):
+            target.device.exchange([0.0], 0.0)
+
+
+def test_no_sample_is_an_error_that_says_what_came_instead(tmp_path):
+    path = device_file(tmp_path, timeout=0.05)
+    with UdpTarget(path) as target:
+        target.open()
+        port, local = target.device.file.port, target.device.file.local_port
+        with pytest.raises(DeviceError) as nothing:
+            target.device.exchange([0.0], 0.0)
+        assert str(nothing.value) == (
+            f"udp device 127.0.0.1:{port}: no sample for 50 ms; nothing came from 127.0.0.1:{port} to port {local}"
+        )
+        target.send(b"wrong", b"wrong too", target.sample(1)[:-1] + b"\0")
+        with pytest.raises(DeviceError) as wrong:
+            target.device.exchange([0.0], 0.0)
+        assert "dropped: 2 wrong length, 1 wrong crc (packets of 96 bytes were expected)" in str(wrong.value)
+
+
+def test_after_an_error_a_target_that_begins_anew_is_used_again(tmp_path):
+    with UdpTarget(device_file(tmp_path, timeout=0.05)) as target:
+        target.open()
+        with pytest.raises(DeviceError):
+            target.device.exchange([0.0], 0.0)
+        target.counter = 5
+        target.tick()
+        expected = target.tick()
+        assert used(target) == expected
+
+
+def test_a_target_that_takes_no_commands_is_an_error(tmp_path):
+    with UdpTarget(device_file(tmp_path, timeout=0.1)) as target:
+        target.open()
+
+        def deaf() -> str:
+            for _ in range(200):
+                target.counter += 1
+                target.send(target.samples.encode(values_of(1), target.counter, target.counter * PERIOD, 7))
+                try:
+                    target.device.exchange([0.0], 0.0)
+                except DeviceError as error:
+                    return str(error)
+                time.sleep(PERIOD * 1e-9)
+            return "none"
+
+        assert deaf().endswith("has not taken a command for 100 ms")
+
+
+def test_a_target_that_is_not_there_is_an_error_of_open(tmp_path, monkeypatch):
+    monkeypatch.setattr("abrace_plant.devices.udp.OPEN_TIME", 0.1)
+    device = load(device_file(tmp_path), RIG)
+    with pytest.raises(DeviceError, match=r"no good samples within 0.1 s; nothing came from 127.0.0.1"):
+        device.open()
+
+
+def test_a_port_that_is_taken_is_an_error_of_open(tmp_path):
+    device = load(device_file(tmp_path), RIG)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", device.file.local_port))
+        with pytest.raises(AbraceError, match=r"cannot receive at 127.0.0.1:.*: Address already in use"):
+            device.open()
+
+
+def test_make_safe_tells_the_target_and_falls_silent_without_a_step(target):
+    target.tick()
+    target.device.exchange([20e3], 1.0)
+    target.answered()
+    before = target.last.counter
+    target.device.make_safe()
+    for k in range(1, LAST_COMMANDS + 1):
+        last = target.commands.decode(target.socket.recv(1024))
+        assert last == (before + k, (20e3, 1.0), last.time, None, False)
+    target.device.close()
+    target.device.make_safe()
+
+
+def test_readings_and_commands_go_through_the_calibration(tmp_path):
+    with UdpTarget(device_file(tmp_path, calibrated=True)) as target:
+        target.open()
+        target.counter += 1
+        target.send(target.sample(target.counter, [1.0, -2.0, 0.0, 0.5, 1.0, 2.0, 10.0, -5.0, 0.1]))
+        reading = target.device.exchange([-5000.0], 2.0)
+        expected = [0.01, -0.02, 0.0, 0.002, 0.6, 1.2, 6.0, -14000.0, 0.015]
+        np.testing.assert_allclose(reading.values, expected, rtol=1e-12)
+        assert reading.clipped == 1 << CHANNELS.index("a3")
+        target.answered()
+        np.testing.assert_allclose(target.last.signals, (-2.0, 2.0))
+
+
+PACKETS = st.lists(
+    st.tuples(st.sampled_from(KINDS), st.integers(0, 2**31), st.binary(max_size=200)), min_size=20, max_size=40
+)
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(PACKETS, st.data())
+def test_between_thousands_of_malformed_packets_every_sample_is_used_and_no_other(target, packets, data):
+    good = data.draw(st.integers(0, len(packets) - 1))
+    skipped = target.keep_time()
+    for position, (kind, amount, content) in enumerate(packets):
+        if position == good:
+            target.tick()
+        target.send(malformed(target, kind, amount, content))
+    reading = target.device.exchange([0.0], 0.0)
+    assert (reading.values.tolist(), reading.missed) == (values_of(target.counter), skipped)
+
+
+def test_a_loop_at_500_hz_stands_malformed_packets_at_10_khz():
+    found = bridge_endurance(4000)
+    assert found["malformed_packets"] >= 4000
+    assert (found["wrong_samples"], found["missed_samples"]) == (0, 0), found
+
+
+def test_exchange_runs_in_a_thread_of_its_own(target):
+    readings = []
+    thread = threading.Thread(target=lambda: readings.append(target.device.exchange([0.0], 0.0)))
+    thread.start()
+    time.sleep(0.05)
+    expected = target.tick()
+    thread.join(5.0)
+    assert [reading.values[0] for reading in readings] == [expected]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("timeout: 1.0", "timeout: 0", "timeout: 0, expected otherwise"),
+        ("address: 127.0.0.1\nport", "address: target\nport", "address: 'target', expected otherwise"),
+        ("kind: udp", "kind: tcp", "kind: 'tcp', expected otherwise"),
+        ("layout: ", "lay_out: ", "lay_out: unknown key"),
+    ],
+)
+def test_a_device_file_that_is_wrong_is_refused_by_its_key(tmp_path, old, new, message):
+    path = device_file(tmp_path)
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(AbraceError, match=f"device file {path}: {message}"):
+        load(path, RIG)
+
+
+def test_a_layout_for_another_rig_is_refused_by_its_file(tmp_path):
+    path = device_file(tmp_path)
+    layout = tmp_path / "other.yaml"
+    layout.write_text("sample: [{field: counter, type: uint8}]\ncommand: []\n")
+    path.write_text(
+        "\n".join(line if "layout" not in line else "layout: other.yaml" for line in path.read_text().splitlines())
+    )
+    with pytest.raises(AbraceError, match=f"layout file {layout}: sample: no field x1, expected counter, x1, x2"):
+        load(path, RIG)

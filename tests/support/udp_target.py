@@ -1,0 +1,170 @@
+"""The other end of a UDP device, packet by packet, for its tests: sends what it is told to, and keeps what it gets."""
+
+from __future__ import annotations
+
+import math
+import socket
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from abrace_plant.devices.layout import Packet, read_layout
+from abrace_plant.devices.udp import UdpDevice, load
+from abrace_plant.rig.file import load_rig
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+CONFIG = Path(__file__).parents[2] / "src/abrace_plant/config"
+RIG = load_rig(CONFIG / "ncree_three_storey.yaml")
+CHANNELS = ("x1", "x2", "x3", "xf", "a1", "a2", "a3", "f", "w")
+PERIOD = round(1e9 / RIG.sample_rate)
+
+
+def free_ports(count: int) -> list[int]:
+    """Ports that nobody has just now."""
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    for each in sockets:
+        each.bind(("127.0.0.1", 0))
+    ports = [each.getsockname()[1] for each in sockets]
+    for each in sockets:
+        each.close()
+    return ports
+
+
+def device_file(folder: Path, timeout: float = 1.0, calibrated: bool = False) -> Path:
+    """A device file in `folder` with free ports and abrace's own layout."""
+    port, local_port = free_ports(2)
+    path = folder / "device.yaml"
+    calibration = f"calibration: {CONFIG}/devices/calibration.yaml\n" if calibrated else ""
+    path.write_text(
+        f"kind: udp\naddress: 127.0.0.1\nport: {port}\nlocal_address: 127.0.0.1\nlocal_port: {local_port}\n"
+        f"timeout: {timeout}\nlayout: {CONFIG}/devices/layout.yaml\n{calibration}"
+    )
+    return path
+
+
+def values_of(counter: int) -> list[float]:
+    """The signals of sample `counter`, by which it is known again."""
+    return [counter + 0.001 * i for i in range(len(CHANNELS))]
+
+
+class UdpTarget:
+    """A target that sends samples from its own port, and the device that it belongs to."""
+
+    def __init__(self, path: Path) -> None:
+        self.device = self.device_of(path)
+        file = self.device.file
+        layout = read_layout(CONFIG / "devices/layout.yaml")
+        self.samples, self.commands = Packet(layout, "sample", CHANNELS), Packet(layout, "command", ("U", "w"))
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind((str(file.address), file.port))
+        self.socket.settimeout(5.0)
+        self.to = "127.0.0.1", file.local_port
+        self.counter = 1000
+
+    @staticmethod
+    def device_of(path: Path) -> UdpDevice:
+        """The device of a device file, for the paper's rig."""
+        return load(path, RIG)
+
+    def __enter__(self) -> UdpTarget:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.device.close()
+        self.socket.close()
+
+    def sample(self, counter: int, values: list[float] | None = None, time: int | None = None) -> bytes:
+        """A good packet, unless `values` or `time` [ns] are wrong."""
+        time = counter * PERIOD if time is None else time
+        return self.samples.encode(values_of(counter) if values is None else values, counter, time, self.answered())
+
+    def answered(self) -> int:
+        """Counter of the last command that came; 0 before the first."""
+        self.socket.setblocking(False)
+        try:
+            while True:
+                self.last = self.commands.decode(self.socket.recv(1024))
+        except BlockingIOError:
+            pass
+        self.socket.settimeout(5.0)
+        return self.last.counter if hasattr(self, "last") else 0
+
+    def send(self, *packets: bytes) -> None:
+        """Send packets as they are."""
+        for packet in packets:
+            self.socket.sendto(packet, self.to)
+
+    def tick(self) -> int:
+        """Send the next good sample; returns its counter."""
+        self.counter += 1
+        self.send(self.sample(self.counter))
+        return self.counter
+
+    def keep_time(self) -> int:
+        """Skip the ticks that have passed since `open` without a sample; returns how many."""
+        now = self.opened[0] + (time.monotonic_ns() - self.opened[1]) // PERIOD
+        skipped = max(0, now - self.counter - 1)
+        self.counter += skipped
+        return skipped
+
+    def open(self) -> None:
+        """Open the device while samples come, and read those that are left."""
+        opened = threading.Event()
+
+        def ticking() -> None:
+            while not opened.is_set():
+                self.tick()
+                time.sleep(PERIOD * 1e-9)
+
+        thread = threading.Thread(target=ticking)
+        thread.start()
+        try:
+            self.device.open()
+        finally:
+            opened.set()
+            thread.join()
+        self.opened = self.tick(), time.monotonic_ns()
+        self.device.exchange([0.0], 0.0)
+
+
+KINDS = ("random", "cut", "longer", "bit", "counter", "small_jump", "repeated", "old", "value")
+
+
+def malformed(target: UdpTarget, kind: str, amount: int, content: bytes) -> bytes:
+    """A packet of the target's sender that must not be used; its CRC is right where that is not what is wrong.
+
+    Parameters
+    ----------
+    target
+        Whose next sample it pretends to be.
+    kind
+        Of `KINDS`.
+    amount, content
+        By which packets of a kind differ.
+    """
+    if kind == "random":
+        return content
+    if kind == "counter":
+        return target.sample((target.counter + 10**5 + amount) % 2**32)
+    if kind == "old":
+        return target.sample((target.counter - 1 - amount % 1000) % 2**32)
+    if kind == "small_jump":
+        return target.sample(target.counter + 2 + amount % 8, time=(target.counter + 1) * PERIOD)
+    if kind == "value":
+        values = [1.0] * len(CHANNELS)
+        for place in (amount, amount + 1):
+            values[place % len(CHANNELS)] = (math.nan, math.inf, -math.inf, 1.7e308)[amount % 4]
+        return target.sample(target.counter + 1, values)
+    good = bytearray(target.sample(target.counter))
+    if kind == "cut":
+        return bytes(good[: amount % len(good)])
+    if kind == "longer":
+        return bytes(good) + content[:1] + b"\0"
+    if kind == "bit":
+        good[amount % len(good)] ^= 1 << amount % 8
+    return bytes(good)
