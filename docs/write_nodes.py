@@ -41,6 +41,7 @@ NODES = {
         "ground_motion": "Takes `response`, `emergency_stop`; publishes `ground_motion`. Action `play_ground_motion`.",
         "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",
         "robot_description": "Offline: prints a rig's robot description (URDF).",
+        "jitter": "Offline: takes `response` of a running rig; in numbers and drawn: real_time.md.",
         "characterize": "Offline: a rig measured as the paper measured its building, in numbers and drawn.",
     },
     "abrace_bags": {

@@ -23,6 +23,7 @@ setup(
             "record = abrace_core.executable:main",
             "characterize = abrace_core.executable:main",
             "robot_description = abrace_core.executable:main",
+            "jitter = abrace_core.executable:main",
         ]
     },
 )

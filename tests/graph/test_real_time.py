@@ -1,7 +1,7 @@
 """The rig by the clock: stamps, the controller in the loop, braces and table left alone by those who drove them.
 
-Commands may stay away for 0.5 s here, not 0.02 s: Fast DDS 2.14 can hold up a node that publishes for 333 ms when
-another one joins (it looks whether the other's shared memory is alive), and the machine may be busy with other tests.
+Commands may stay away for 0.5 s here, not 0.02 s: nodes join a rig whose force is on, which may hold up a publisher for
+333 ms (docs/real_time.md), and the machine may be busy with other tests.
 """
 
 from __future__ import annotations
