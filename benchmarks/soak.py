@@ -6,6 +6,7 @@ graph   10 minutes of the closed loop in real time at 500 Hz (plant, ground moti
 flood   the highest rate of one topic at which the logger loses nothing, against a subscription that writes nothing
 ends    200 nodes of all kinds interrupted twice at random moments; where there is `ros2 launch` 50 launches with wrong
         arguments and 50 that get SIGTERM at random moments: crashes, exit codes, nodes left behind
+joins   100 nodes that join a running rig and leave: how often it found no command in time
 
 python benchmarks/soak.py SECONDS    # another duration of the first
 """
@@ -22,6 +23,7 @@ from typing import Any
 from controller_speed import lqg3
 from ends import failures, measure
 from isolation import isolated
+from joins import joins
 from logger_endurance import LOAD, cpu_seconds, flood_rates, running
 
 from abrace.campaign.runner import run_campaign
@@ -119,7 +121,8 @@ def main() -> int:
         logger = record_graph(duration)
         logger |= flood_rates()
         ends = measure()
-    write_text("results/soak.json", json.dumps({"logger": logger, "ends": ends}, indent=1) + "\n")
+        joined = joins()
+    write_text("results/soak.json", json.dumps({"logger": logger, "ends": ends, "joins": joined}, indent=1) + "\n")
     bare = f"bare subscription {logger['bare_subscription_rate']:.0f}"
     rows = (
         (f"messages lost of {logger['messages']}", f"{logger['lost']}", "0", "-"),
@@ -133,6 +136,8 @@ def main() -> int:
         for key, count in (each if isinstance(each, dict) else {each: ""}).items()
     )
     print(Table("How nodes and launches end", ("what", "", "count"), counts).text())
+    joining = tuple((name.replace("_", " "), f"{value:g}") for name, value in joined.items())
+    print(Table("Nodes that join a running rig", ("what", "reached"), joining).text())
     return 1 if failures(ends) or logger["lost"] or logger["cpu_fraction"] >= 0.25 else 0
 
 

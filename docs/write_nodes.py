@@ -37,14 +37,15 @@ with `use_sim_time` take it by `-r /clock:=/rig/clock`; for one rig alone, give 
 
 NODES = {
     "abrace_plant": {
-        "plant": "Takes `brace_command`, `ground_motion`, `emergency_stop`, `/emergency_stop`; publishes `response`, `joint_states`, "
-        "`robot_description`, in lockstep `clock` (rosgraph_msgs/Clock). Service `~/clear_fault` (std_srvs/Trigger).",
+        "plant": "Takes `brace_command`, `ground_motion`, `emergency_stop`, `/emergency_stop`; publishes `response`, "
+        "`joint_states`, `robot_description`, in lockstep `clock` (rosgraph_msgs/Clock). Service `~/clear_fault` (std_srvs/Trigger).",
         "ground_motion": "Takes `response`; publishes `ground_motion`. Action `play_ground_motion`, service "
         "`~/clear_fault`.",
         "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",
         "robot_description": "Offline: prints a rig's robot description (URDF).",
         "check_sensors": "Offline: mean, noise, range use and drift of each channel; names those that are dead, "
         "clipped, noisy, swapped, or have the wrong sign or gain (bridge.md). Ends with code 1 where one is.",
+        "jitter": "Offline: takes `response` of a running rig; in numbers and drawn: real_time.md.",
         "characterize": "Offline: a rig measured as the paper measured its building, in numbers and drawn.",
     },
     "abrace_bags": {

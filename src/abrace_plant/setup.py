@@ -26,6 +26,7 @@ setup(
             "robot_description = abrace_core.executable:main",
             "check_sensors = abrace_core.executable:main",
             "emulator = abrace_core.executable:main",
+            "jitter = abrace_core.executable:main",
         ]
     },
 )

@@ -1,0 +1,56 @@
+"""Deviations of samples from the clock, and what is told of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from abrace_core.errors import AbraceError
+from abrace_plant.live.jitter import Arrivals, Jitter, as_json, bare_timer
+from abrace_plant.live.jitter_figure import jitter_figure
+
+PERIOD = 2_000_000
+
+
+def arrivals(sequences: list[int], late: dict[int, int]) -> Arrivals:
+    """Samples received on time, but for those that are `late` by some nanoseconds."""
+    stamps = [PERIOD * sequence for sequence in sequences]
+    received = [10**12 + stamp + late.get(sequence, 0) for sequence, stamp in zip(sequences, stamps, strict=True)]
+    return Arrivals(received, stamps, sequences)
+
+
+def test_a_sample_that_comes_late_counts_twice_and_one_that_does_not_come_is_missed():
+    sequences = [sequence for sequence in range(100, 1101) if sequence != 500]
+    jitter, period = arrivals(sequences, {300: 700_000}).jitter()
+    assert period == 0.002
+    assert jitter.missed == 1
+    assert np.count_nonzero(jitter.times) == 2
+    statistics = jitter.statistics()
+    assert statistics["events"] == 999
+    assert statistics["median_us"] == 0
+    assert statistics["worst_us"] == pytest.approx(700.0)
+
+
+def test_quantiles_are_exact():
+    times = np.arange(1, 100_001) * 1e-6
+    found = Jitter(np.random.default_rng(1).permutation(times)).statistics()
+    assert [found[key] for key in ("p99_us", "p999_us", "p9999_us", "worst_us")] == pytest.approx(
+        [99001, 99901, 99991, 100000], abs=1
+    )
+
+
+@pytest.mark.parametrize(
+    ("sequences", "expected"), [([1, 2], "2 samples"), ([5, 6, 0, 1], "began anew"), ([5, 5, 6], "began anew")]
+)
+def test_what_is_no_run_of_samples_is_refused(sequences, expected):
+    with pytest.raises(AbraceError, match=expected):
+        arrivals(sequences, {}).jitter()
+
+
+def test_a_bare_timer_is_never_early_and_the_figure_takes_a_part_without_deviations():
+    timer = bare_timer(0.001, 0.05)
+    assert len(timer.times) == 50
+    assert timer.times.min() >= 0
+    found = {"rig": Jitter(np.zeros(50), missed=2), "timer": timer}
+    assert as_json(found, 0.001, {"thread_priority": 0})["rig"]["missed"] == 2
+    assert len(jitter_figure(found, 0.001).axes) == 2
