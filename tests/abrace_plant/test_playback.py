@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from abrace_core.safety.table_stop import Table
+from abrace_core.safety.table_stop import Table, TableStop
 from abrace_plant.live.playback import Playback
 from abrace_plant.records.files import read_record
 from abrace_plant.records.intensity import integrate
+from abrace_plant.records.table_motion import RECORD_REMEDIES, check_motion
 from abrace_plant.records.treatment import Treatment, prepare
 
 MOTION = np.array([0.5, -1.0, 2.0, 0.25])
@@ -52,6 +53,18 @@ def test_a_stop_in_el_centro_ends_at_zero_velocity_within_the_stroke(second):
     assert np.abs(displacement).max() <= TABLE.peak_displacement
     assert np.abs(np.diff(played)).max() / 0.002 <= TABLE.peak_jerk
     assert playback.displacement == pytest.approx(displacement[-1], abs=1e-12)
+
+
+def test_a_motion_that_the_table_has_can_be_stopped_within_the_stroke_at_any_time():
+    """It turns round within the stroke itself, with no more than the table has."""
+    motion = prepare(read_record("el_centro"), 500.0, Treatment(peak_acceleration=7.9))
+    check_motion(motion, 500.0, TABLE, "el_centro", RECORD_REMEDIES)
+    velocity, displacement = integrate(motion, 0.002)
+    assert np.abs(displacement).max() > 0.245, "nearly all of the stroke"
+    states = zip(motion.tolist(), velocity.tolist(), displacement.tolist(), strict=True)
+    stops = [TableStop(*state, TABLE, 0.002) for state in [*states][::23]]
+    assert all(stop.within_stroke for stop in stops)
+    assert max(len(stop.profile) for stop in stops) <= 350, "0.5 s, or little more"
 
 
 def test_the_next_motion_begins_where_the_table_is():
