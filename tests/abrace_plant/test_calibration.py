@@ -43,6 +43,12 @@ def test_commands_become_volts_within_the_outputs_range():
     assert found.outputs([-1e9, 1e9]) == [10.0, 5.0]
 
 
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+def test_a_command_that_is_not_finite_does_not_reach_a_device(wrong):
+    with pytest.raises(AbraceError, match=r"commands \[.*\], expected finite numbers"):
+        Calibration(None, ("x1", "w"), ("U", "w"), RATE).outputs([wrong, 0.0])
+
+
 @pytest.mark.parametrize(("raw", "clipped"), [(9.98, 0), (9.9997, 0b10), (10.0, 0b10), (-10.0, 0b10), (1e300, 0b10)])
 def test_a_reading_at_the_end_of_its_range_sets_the_channels_bit_and_never_goes_beyond(raw, clipped):
     found = calibration("{x1: {gain: 1, unit: m, range: [-10, 10]}, x2: {gain: 1, unit: m, range: [-10, 10]}}")

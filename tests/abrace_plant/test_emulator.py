@@ -75,6 +75,16 @@ def test_after_a_stop_old_commands_do_not_act_until_one_of_zero():
     assert target.following
 
 
+def test_while_the_target_hangs_its_outputs_hold_and_the_rig_goes_on():
+    target = following(10e3, 0.0)
+    tick = target.tick
+    target.hold(100)
+    assert (target.tick, target._acting[0], target.stops) == (tick + 100, 10e3, 0)
+    reading = target.step()
+    assert target.stops == 1
+    assert reading[CHANNELS.index("f")] == pytest.approx(10e3, rel=0.1)
+
+
 def test_the_greatest_step_that_reached_the_actuators_is_kept():
     target = following(0.0, 0.0)
     target.command(np.array([3e3, 0.7]), enabled=True)

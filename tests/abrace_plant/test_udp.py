@@ -10,7 +10,7 @@ import pytest
 from bridge_endurance import bridge_endurance
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from udp_target import CHANNELS, KINDS, PERIOD, RIG, UdpTarget, device_file, malformed, values_of
+from udp_target import CHANNELS, CONFIG, KINDS, PERIOD, RIG, UdpTarget, device_file, malformed, values_of
 
 from abrace_core.errors import AbraceError
 from abrace_plant.devices.device import DeviceError
@@ -124,7 +124,9 @@ def test_no_sample_is_an_error_that_says_what_came_instead(tmp_path):
         target.send(b"wrong", b"wrong too", target.sample(1)[:-1] + b"\0")
         with pytest.raises(DeviceError) as wrong:
             target.device.exchange([0.0], 0.0)
-        assert "dropped: 2 wrong length, 1 wrong crc (packets of 96 bytes were expected)" in str(wrong.value)
+        assert "dropped: 2 wrong length, 1 wrong crc (packets of 96 bytes, 2 ms apart, were expected)" in str(
+            wrong.value
+        )
 
 
 def test_after_an_error_a_target_that_begins_anew_is_used_again(tmp_path):
@@ -256,3 +258,23 @@ def test_a_layout_for_another_rig_is_refused_by_its_file(tmp_path):
     )
     with pytest.raises(AbraceError, match=f"layout file {layout}: sample: no field x1, expected counter, x1, x2"):
         load(path, RIG)
+
+
+def test_a_time_too_coarse_to_tell_ticks_apart_is_refused(tmp_path):
+    path = device_file(tmp_path)
+    layout = tmp_path / "coarse.yaml"
+    layout.write_text((CONFIG / "devices/layout.yaml").read_text().replace("unit: ns}", "unit: ms}", 1))
+    path.write_text(path.read_text().replace(f"{CONFIG}/devices/layout.yaml", "coarse.yaml"))
+    with pytest.raises(AbraceError, match=f"layout file {layout}: time in steps of 1 ms, expected a unit that tells"):
+        load(path, RIG)
+
+
+def test_a_target_at_another_rate_is_an_error_of_open_that_says_what_was_expected(tmp_path, monkeypatch):
+    monkeypatch.setattr("abrace_plant.devices.udp.OPEN_TIME", 0.1)
+    with UdpTarget(device_file(tmp_path)) as target:
+        packets = [target.sample(k, time=k * PERIOD // 2) for k in range(20)]
+        sender = threading.Timer(0.05, lambda: target.send(*packets))
+        sender.start()
+        with pytest.raises(DeviceError, match=r"dropped: 20 not consecutive \(packets of 96 bytes, 2 ms apart, were"):
+            target.device.open()
+        sender.join()

@@ -170,7 +170,15 @@ class Calibration:
         return (values if self._filter is None else self._filter.step(values)), clipped
 
     def outputs(self, values: Sequence[float]) -> list[float]:
-        """(commands,) `values` in SI units as the device takes them, within the ranges of its outputs."""
+        """(commands,) `values` in SI units as the device takes them, within the ranges of its outputs.
+
+        Raises
+        ------
+        AbraceError
+            If one is not finite: that must not reach a device.
+        """
+        if not math.isfinite(sum(values)):
+            raise AbraceError(f"commands {list(values)}, expected finite numbers")
         raw = np.asarray(values) / self._command_scale + self._command_offset
         found: list[float] = np.clip(raw, self._command_low, self._command_high).tolist()
         return found

@@ -120,6 +120,8 @@ class Packet:
         The counter's number of values, after which it begins at zero again.
     answered_modulus
         That of the field `answered`; 1 where the layout has none.
+    resolution
+        Of the time [ns]; 0 where it is a real number, or there is none.
     wall_clock
         Whether the time is nanoseconds since 1970, kept by PTP or the like, and not that of the sender's own clock.
 
@@ -158,6 +160,7 @@ class Packet:
         self.wall_clock = "time" in by_name and by_name["time"].clock == "wall"
         self._unit = NANOSECONDS[by_name["time"].unit] if "time" in by_name else 1
         self._whole_time = "time" in by_name and by_name["time"].type != "float64"
+        self.resolution = self._unit if self._whole_time else 0
         self._crc = "crc" in by_name
         self._counter = place["counter"]
         self._time, self._answered, self._enable = (place.get(name) for name in ("time", "answered", "enable"))

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from abrace_plant.devices.layout import Malformed
 
-SAME_TICK = 0.5
-"""Ticks by which counter and time of a packet may disagree."""
+SAME_TICK = 0.4
+"""Ticks by which the counter and the time of a packet may disagree."""
+RATE_ERROR = 1e-3
+"""Share by which the target's ticks may be faster or slower, all in all, than the period that was given."""
 CANDIDATES = 64
 """Packets that are remembered until two of them follow each other."""
 DRIFT = 1e-4
@@ -56,8 +58,8 @@ class Succession:
         Raises
         ------
         Malformed
-            Naming why it is not used: "repeated", "old", "jumping", "wrong_time", and "first" before a succession has
-            begun.
+            Naming why it is not used: "repeated", "old", "jumping", "wrong_time", and "not_consecutive" before two
+            of them have followed each other.
         """
         if self._last is None:
             before = (counter - 1) % self._modulus
@@ -65,8 +67,9 @@ class Succession:
                 if len(self._candidates) >= CANDIDATES:
                     self._candidates.clear()
                 self._candidates[counter] = time
-                raise Malformed("first")
+                raise Malformed("not_consecutive")
             self._last = before, self._candidates[before]
+            self._first_time = self._candidates[before]
             self._candidates.clear()
         last, last_time = self._last
         ticks = (counter - last) % self._modulus
@@ -76,7 +79,8 @@ class Succession:
             raise Malformed("old")
         if ticks > longest:
             raise Malformed("jumping")
-        if not self._agree(ticks, last_time, time):
+        whole = self.ticks + ticks
+        if not self._agree(ticks, last_time, time) or not self._agree(whole, self._first_time, time):
             raise Malformed("wrong_time")
         self._last = counter, time
         self.ticks += ticks
@@ -85,7 +89,7 @@ class Succession:
     def _agree(self, ticks: int, last_time: int | None, time: int | None) -> bool:
         if last_time is None or time is None:
             return True
-        return abs((time - last_time) / self._period - ticks) <= SAME_TICK
+        return abs((time - last_time) / self._period - ticks) <= SAME_TICK + RATE_ERROR * ticks
 
 
 class TargetClock:

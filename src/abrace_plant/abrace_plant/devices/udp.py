@@ -43,6 +43,8 @@ ASKING_PERIOD = 0.01
 """Seconds between commands with zero force that do not enable, which `open` sends."""
 BUFFER = 1 << 20
 """Bytes of packets that the socket keeps while nobody reads, as far as the system allows."""
+LARGEST_RESOLUTION = 0.25
+"""Of a target's time, in ticks: counter and time have to agree better than to half a tick."""
 LAST_COMMANDS = 3
 """Packets in which `make_safe` says that commands are not to be followed any more; any of them may be lost."""
 
@@ -79,6 +81,11 @@ def load(path: Path, rig: Rig) -> UdpDevice:
     """
     file = read_config(path, UdpFile, "device")
     samples, commands = packets(path, file, rig)
+    if samples.resolution > LARGEST_RESOLUTION * 1e9 / rig.sample_rate:
+        raise AbraceError(
+            f"layout file {path.parent / file.layout}: time in steps of {1e-6 * samples.resolution:g} ms, expected a "
+            f"unit that tells ticks of {rig.sample_rate:g} Hz apart"
+        )
     return UdpDevice(file, samples, commands, load_calibration(path, file, rig), rig.sample_rate)
 
 
@@ -311,4 +318,5 @@ class UdpDevice:
         if not dropped:
             return f"nothing came from {self._sender[0]}:{self._sender[1]} to port {self.file.local_port}"
         names = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in dropped.most_common())
-        return f"dropped: {names} (packets of {self._samples.length} bytes were expected)"
+        expected = f"packets of {self._samples.length} bytes, {1e-6 * self._period:g} ms apart, were expected"
+        return f"dropped: {names} ({expected})"

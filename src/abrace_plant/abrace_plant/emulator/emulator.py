@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
     from abrace_plant.rig.model import Rig
 
-LONGEST_CATCH_UP = 0.01
-"""Seconds of ticks that were late which are made up for; after more the target's clock goes on from there."""
+LONGEST_CATCH_UP = 0.02
+"""Seconds of late ticks whose samples are sent all the same, one after the other; more of them are missed."""
 LINK_FAULTS = tuple(field.name for field in fields(Faults))
 FREEZE = "freeze"
 
@@ -135,14 +135,16 @@ class Emulator:
             self._cause_what_is_due(now)
             if now < self._frozen_until:
                 time.sleep(self._frozen_until - now)
-                due = self._frozen_until
                 continue
             self.port.serve(now)
             if now >= due:
+                late = now - due
+                self._late += late > period
+                self._worst_late = max(self._worst_late, late)
+                missed = int(late / period) if late > LONGEST_CATCH_UP else 0
+                self.target.hold(missed)
                 self.port.publish(self.target.step(), now)
-                self._late += now - due > period
-                self._worst_late = max(self._worst_late, now - due)
-                due = due + period if now - due < LONGEST_CATCH_UP else now + period
+                due += (missed + 1) * period
             wait = min([due, *(link.due for link in self.port.links.values())]) - time.monotonic()
             if wait > 0:
                 select.select(listening, [], [], wait)

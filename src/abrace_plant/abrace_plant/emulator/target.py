@@ -124,6 +124,12 @@ class Target:
         """
         self._measurement.faults = tuple(parse_fault(text, self._channels, self.period) for text in texts)
 
+    def hold(self, ticks: int) -> None:
+        """Let the rig go on for so many `ticks` that the target misses: its outputs stay as they are, unguarded."""
+        for _ in range(ticks):
+            self.tick += 1
+            self._move()
+
     def step(self) -> NDArray[np.float64]:
         """The readings (channels,) at the next tick, in SI units."""
         self.tick += 1
@@ -131,7 +137,6 @@ class Target:
             self.stop()
         before = self._acting
         self._acting = self._command if self.following else self._falling()
-        self._velocity += float(self._acting[-1]) * self.period
         steps = np.abs(self._acting - before)
         self.worst_step = max(self.worst_step, float(steps[:-1].max()))
         over = float((steps[:-1] / (self._rate_limit * self.period)).max())
@@ -140,8 +145,14 @@ class Target:
         self.worst_force = max(self.worst_force, float(np.abs(self._acting[:-1]).max()))
         if before[:-1].any() and not self._acting[:-1].any() and not self.following:
             self.worst_seconds_to_zero = max(self.worst_seconds_to_zero, (self.tick - self._alive) * self.period)
-        self._true[:-1] = self._motion.outputs(float(self._acting[-1]), self._acting[:-1])
-        self._true[-1] = self._acting[-1]
+        return self._move()
+
+    def _move(self) -> NDArray[np.float64]:
+        """The readings at this tick, after one with the outputs that act."""
+        ground = float(self._acting[-1])
+        self._velocity += ground * self.period
+        self._true[:-1] = self._motion.outputs(ground, self._acting[:-1])
+        self._true[-1] = ground
         return self._measurement.read(self._true)
 
     def _falling(self) -> NDArray[np.float64]:

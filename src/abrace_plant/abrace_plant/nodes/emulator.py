@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import json
+import os
 import signal
 import sys
 from pathlib import Path
@@ -12,8 +14,6 @@ from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_plant.emulator.emulator import Emulator
 from abrace_plant.rig.file import load_rig
-
-CONFIG = Path(__file__).parents[2] / "config"
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -26,8 +26,17 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument("--fault", action="append", default=[], help="such as loss=0.01, a2=stuck@20 (docs/bridge.md)")
     parser.add_argument("--control", type=int, default=0, metavar="PORT", help="UDP port for faults while it runs")
     parser.add_argument("--duration", type=float, default=float("inf"), help="seconds to run (until stopped)")
+    parser.add_argument("--priority", type=int, default=0, help="of SCHED_FIFO, 1 to 99, where allowed (0: none)")
     parser.add_argument("--log", type=Path, help="JSON file of the counts, written at the end")
     return parser
+
+
+def raise_priority(priority: int) -> None:
+    """Be scheduled before all ordinary processes, where that is allowed."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError as error:
+        print(f"emulator: no priority {priority}: {error.strerror}; ticks may be late", file=sys.stderr, flush=True)
 
 
 def main() -> int:
@@ -38,7 +47,12 @@ def main() -> int:
         signal.signal(number, lambda which, _: stops.append(which))
     try:
         emulator = Emulator(given.device, load_rig(given.rig), given.bridge, given.seed, given.fault, given.control)
+        if given.priority:
+            raise_priority(given.priority)
         print("emulator: ticking", flush=True)
+        # the garbage collector's pauses would be late ticks
+        gc.collect()
+        gc.freeze()
         try:
             emulator.run(lambda: bool(stops), given.duration)
         finally:
