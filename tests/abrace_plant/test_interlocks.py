@@ -66,6 +66,7 @@ def test_a_value_has_to_be_exceeded_for_its_time_without_a_break(rig):
         assert str(found) == "interstorey drift of storey 2: 0.05 m for 10 ms, limit 0.04 (interlocks.drift)"
 
 
+@pytest.mark.filterwarnings("ignore:overflow")
 def test_a_reading_that_is_not_a_number_trips_at_once(rig):
     readings = noise(rig, 50)
     readings[20:, NAMES.index("a3")] = np.nan
@@ -74,6 +75,8 @@ def test_a_reading_that_is_not_a_number_trips_at_once(rig):
     assert (found.channel, sample) == ("a3", 20)
     assert str(found) == "a3: nan, expected a number"
     assert tripped(interlocks, noise(rig, 50))[0] is None, "the filters have not seen it"
+    assert str(tripped(interlocks, noise(rig, 1), command=np.inf)[0]) == "U: inf, expected a number"
+    assert tripped(interlocks, np.full((1, 9), 1.7e308))[0].channel == "x1"
 
 
 def test_an_interlock_that_only_warns_is_reported_and_stops_nothing(rig):
@@ -172,6 +175,7 @@ def test_a_start_or_a_reset_in_motion_trips_nothing(rig):
     assert tripped(interlocks, readings)[0] is None
     interlocks.reset()
     assert tripped(interlocks, readings[333:])[0] is None
+    assert interlocks.utilisation()["implausible_acceleration"] < 0.5
 
 
 def test_a_disconnected_brace_has_no_interlocks(rig):

@@ -74,7 +74,7 @@ class Detectors(NamedTuple):
     at_rest: NDArray[np.float64]
     """(states, inputs): the states after inputs that have always been the same."""
     settling: int
-    """Samples after a start for which the implausibility of accelerations does not count."""
+    """Samples after a start for which the implausibility of accelerations does not count; one or more."""
 
     def noise(self, deviations: NDArray[np.float64]) -> dict[str, float]:
         """Standard deviation of the noisiest quantity of each interlock, by the inputs' `deviations` (inputs,)."""

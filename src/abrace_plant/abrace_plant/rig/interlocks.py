@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 TRUE = b"\1"
 NUMBER = "number"
-"""What `Trip` names as the interlock where a reading is not a number; it can't be switched off."""
+"""What `Trip` names as the interlock where a reading or the command is not a number."""
 NEVER = 2**62
 """Samples after which a channel that is not watched would trip."""
 
@@ -90,6 +90,8 @@ class Interlocks:
 
     Attributes
     ----------
+    table
+        Every interlock of the rig by its key, in the order in which they are asked.
     warnings
         What the interlocks with the action "warn" found at the last sample.
     trips
@@ -102,6 +104,7 @@ class Interlocks:
         sensors = rig.sensors.channels(rig.floors, rig.groups)
         names = (*signals.response_names(rig.floors, rig.groups), signals.GROUND)
         self._channels = count = len(sensors)
+        self._names = (*names, *signals.command_names(rig.groups), "displacement of the table", "velocity of the table")
         self._quantities = (
             *found.quantities,
             *(Quantity(state, name, text.format(name)) for state, text in STATES.items() for name in names),
@@ -115,15 +118,14 @@ class Interlocks:
         self._needed = np.array(needed)
         self._needed[linear : linear + 2 * count][np.tile(quiet, 2)] = NEVER
         self._limits = np.array([kind.value for kind in kinds[:linear]])
-        settling = [quantity.interlock == "implausible_acceleration" for quantity in found.quantities]
-        self._limits_at_first = np.where(settling, np.inf, self._limits)
+        self._settle = [i for i, one in enumerate(found.quantities) if one.interlock == "implausible_acceleration"]
         self._settling = found.settling
         # [next states; quantities] = step [states; inputs], all views of two vectors
         states = len(found.at_rest)
         self._step, self._at_rest = found.step, found.at_rest
         self._vector, self._result = np.zeros(self._step.shape[1]), np.zeros(self._step.shape[0])
         self._states, self._inputs = self._vector[:states], self._vector[states:]
-        self._zeros, self._reading = np.zeros(count), self._inputs[:count]
+        self._ones, self._reading = np.ones(len(self._inputs)), self._inputs[:count]
         self._command = self._inputs[count : count + rig.groups]
         self._next_states, self._values = self._result[:states], self._result[states:]
         self._sizes, self._greatest = np.zeros(linear), np.zeros(linear)
@@ -179,18 +181,21 @@ class Interlocks:
             What asks for a protective stop: the first interlock in the order of the table, as long as its value is
             exceeded. Those that only warn are in `warnings`.
         """
-        if self._zeros.dot(reading) != 0.0:  # not a number, if one of the readings is none
-            return self._not_a_number(reading)
         self._reading[:] = reading
         self._command[:] = command
         self._inputs[-2], self._inputs[-1] = table_displacement, table_velocity
-        if self._samples <= self._settling:
+        if not math.isfinite(self._ones.dot(self._inputs)):  # because one of the inputs is not, or is absurd
+            return self._not_a_number()
+        if not self._samples:
             self._begin()
         np.dot(self._step, self._vector, out=self._result)
         self._states[:] = self._next_states
         np.abs(self._values, out=self._sizes)
+        if self._samples < self._settling:
+            self._samples += 1
+            self._sizes[self._settle] = 0.0
         self._rms(self._oscillation)
-        np.less_equal(self._sizes, self._limit, out=self._linear_within)
+        np.less_equal(self._sizes, self._limits, out=self._linear_within)
         np.maximum(self._greatest, self._sizes, out=self._greatest)
         np.subtract(self._references, reading, out=self._distances)
         np.abs(self._distances, out=self._distances)
@@ -231,20 +236,14 @@ class Interlocks:
         np.sqrt(self._power, out=force)
 
     def _begin(self) -> None:
-        """The first samples: filters as if the first one had always been, and some quantities not yet counted."""
-        if self._samples == 0:
-            self._states[:] = self._at_rest @ self._inputs
-            self._references[:] = self._reading
-            self._power[:] = 0.0
-            self._limit = self._limits_at_first
-        elif self._samples == self._settling:
-            self._limit = self._limits
-        self._samples += 1
+        """The first sample: filters as if it had always been."""
+        self._states[:] = self._at_rest @ self._inputs
+        self._references[:] = self._reading
+        self._power[:] = 0.0
 
-    def _not_a_number(self, reading: NDArray[np.float64]) -> Trip:
-        place = int(np.flatnonzero(~np.isfinite(reading))[0])
-        name = self._quantities[place - self._channels].channel
-        return Trip(NUMBER, name, name, float(reading[place]), math.inf, self._period)
+    def _not_a_number(self) -> Trip:
+        place = int(np.argmax(np.where(np.isfinite(self._inputs), np.abs(self._inputs), np.inf)))
+        return Trip(NUMBER, self._names[place], self._names[place], float(self._inputs[place]), math.inf, self._period)
 
     def _report(self) -> Trip | None:
         stop: Trip | None = None
