@@ -2,7 +2,7 @@
 
 tests       by test, the utilisation of each interlock: its greatest value over its limit; and the trips, none
 causes      by planted cause: the interlock that acted, after how long [ms], the greatest drift until then and after [m]
-check_us    time of one check [us], by rig
+check_us    the processor's time for one check [us], by rig
 
 python benchmarks/interlock_margins.py    prints both tables; `make verify` has them too
 """
@@ -69,13 +69,14 @@ def verify_interlocks() -> tuple[dict[str, Any], list[Claim], list[Table]]:
     tripped = [one for one in values["causes"].values() if one["interlock"]]
     faults = [found["ms"] for name, found in values["causes"].items() if name.partition("=")[2] in FAULTS]
     wrong_sign = values["causes"]["law with the wrong sign"]
+    warned = f"only warned of: {_only_warned_of(rig, weights['lqg3']):.3f}"
     claims = [
         Claim("interlocks: trips in the paper's tests", sum(one.trip is not None for one in tests.values()), 0, "-"),
         Claim("interlocks: greatest utilisation there", max(_shares(tests, "force")), 0.9, "-"),
         Claim("interlocks: the same of the force, cut at 0.93", max(_shares(tests)), 0.95, "-"),
         Claim("interlocks: planted causes that tripped", len(tripped), len(causes), f"{len(causes)}", least=True),
         Claim("interlocks: slowest of the sensor faults, ms", max(faults), 100, "-"),
-        Claim("interlocks: wrong sign, greatest drift, m", wrong_sign["greatest_drift"], 0.045, "-"),
+        Claim("interlocks: wrong sign, greatest drift, m", wrong_sign["greatest_drift"], 0.045, warned),
         Claim("interlocks: a check, us, the paper's rig", values["check_us"][RIGS[0]], 15, "-"),
     ]
     return values, claims, [margin_table(tests), cause_table(values["causes"])]
@@ -157,6 +158,13 @@ def _causes(rig: Rig, weights: Weights) -> Iterator[tuple[str, float, Outcome]]:
         yield name, START, rehearse(rig, ground, law=law, cause=Cause(START, tamper=tamper))
 
 
+def _only_warned_of(rig: Rig, weights: Weights) -> float:
+    """The greatest drift [m] of the law with the wrong sign where nothing stops it."""
+    unstopped = {name: replace(limit, action="warn") for name, limit in rig.interlocks.items()}
+    law = controller(rig, weights, -1.0)
+    return rehearse(replace(rig, interlocks=unstopped), el_centro(rig.sample_rate, 15.0), law=law).greatest_drift
+
+
 def _swapped(one: int, other: int) -> Callable[[Array], None]:
     def tamper(reading: Array) -> None:
         reading[[one, other]] = reading[[other, one]]
@@ -191,16 +199,16 @@ def _cause(start: float, outcome: Outcome) -> dict[str, Any]:
 
 
 def check_time(name: str) -> float:
-    """Best of 30 blocks of 500 checks of the rig `name` at rest, for one check [us]."""
+    """Best of 30 blocks of 500 checks of the rig `name` at rest, for one check, of the processor's time [us]."""
     rig = load_rig(find_file(name, "abrace_plant", "config", ".yaml", "rig"))
     interlocks, channels = Interlocks(rig), rig.sensors.channels(rig.floors, rig.groups)
     readings = list(Measurement(channels, 1, 0.002).record(np.zeros((500, len(channels)))))
     command, times = [0.0] * rig.groups, []
     for _ in range(30):
-        begin = time.perf_counter()
+        begin = time.thread_time()
         for reading in readings:
             interlocks.check(reading, command, 0.0, 0.0, 0)
-        times.append((time.perf_counter() - begin) / len(readings))
+        times.append((time.thread_time() - begin) / len(readings))
     return 1e6 * min(times)
 
 

@@ -25,7 +25,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy import linalg, signal
+from scipy import linalg
 
 from abrace_core import signals
 from abrace_core.discretization import discretize
@@ -201,8 +201,10 @@ def _residual(slow: float, fast: float) -> Matrices:
 
 
 def _bilinear(matrices: Matrices, period: float) -> Matrices:
-    a, b, c, d, _ = signal.cont2discrete(matrices, period, method="bilinear")
-    return a, b, c, d
+    a, b, c, d = matrices
+    half = period / 2 * a
+    inverse = np.linalg.inv(np.eye(len(a)) - half)
+    return inverse @ (np.eye(len(a)) + half), period * inverse @ b, c @ inverse, d + period / 2 * c @ inverse @ b
 
 
 def _lag(lag: float, delay: float, period: float) -> Matrices:
