@@ -3,6 +3,7 @@
 Writes results/verify.json, prints tables, ends with 1 if a claim is missed.
 
 rig             the paper's rig against the numbers that the paper prints, and its limited motion against finer substeps
+interlocks      their margins in the paper's tests, and what trips them
 records         the resampling of records, and their response spectra against eqsig
 lqg             the five controllers on the lockstep graph: Table 1, prediction, margins, reductions
 bags            killed loggers, cut-off and damaged files
@@ -25,6 +26,7 @@ import lqg_accuracy
 import numpy as np
 from bag_accuracy import verify_bags
 from claims import Claim, claim_table
+from interlock_margins import verify_interlocks
 
 from abrace.report.table import Table
 from abrace_core.files import write_text
@@ -257,14 +259,16 @@ def main() -> int:
     if importlib.util.find_spec("ctrlsys") is None:
         parser.error("N4SID needs ctrlsys, which needs NumPy 2: make verify runs where no ROS 2 is sourced")
     rig, claims = verify_rig()
+    interlocks, of_interlocks, of_limits = verify_interlocks()
     records, of_records = verify_records()
     identification, of_identification, tables = verify_identification()
     bags, of_bags = verify_bags()
     lqg, of_lqg, of_controllers = lqg_accuracy.verify_lqg(record)
-    claims += of_records + of_identification + of_bags + of_lqg
-    values = {"rig": rig, "records": records, "identification": identification, "bags": bags, "lqg": lqg}
+    claims += of_interlocks + of_records + of_identification + of_bags + of_lqg
+    values = {"rig": rig, "interlocks": interlocks, "records": records}
+    values |= {"identification": identification, "bags": bags, "lqg": lqg}
     write_text(RESULTS, json.dumps(values, indent=1) + "\n")
-    print("\n\n".join(table.text() for table in (claim_table(claims), *tables, *of_controllers)))
+    print("\n\n".join(table.text() for table in (claim_table(claims), *of_limits, *tables, *of_controllers)))
     print(f"wrote {RESULTS}")
     return 0 if all(claim.holds for claim in claims) else 1
 

@@ -209,6 +209,17 @@ def with_two_controllers():
     return {**results, "first/comparison.json": weaker}
 
 
+def test_tests_with_readings_at_the_end_of_their_range_are_named(tmp_path):
+    results = example()
+    results["check/comparison.json"]["clipped"] = {"measured": {"a2": 14}, "uncontrolled": None}
+    text, summary = reported(tmp_path, results)
+    assert re.search(r"check, measured +a2: 14 samples at the end of its range\n", text)
+    assert re.search(r"check, uncontrolled +samples at the end of a sensor's range: unknown", text)
+    assert summary["clipped"]["measured"] == {"a2": 14}
+    results["check/comparison.json"]["clipped"] = {"measured": {}, "uncontrolled": {}}
+    assert "end of" not in reported(tmp_path, results)[0]
+
+
 def test_several_controllers_are_set_beside_each_other(tmp_path):
     text, summary = reported(tmp_path, with_two_controllers())
     assert list(summary["comparisons"]) == ["first", "check"]

@@ -70,6 +70,25 @@ def test_sample_period_that_is_none_is_refused(tmp_path: Path, value: str) -> No
         read_run(bag)
 
 
+@pytest.mark.parametrize(("field", "counts"), [("uint64 clipped", {"x1": 3, "a2": 1, "w": 1}), ("uint64 other", None)])
+def test_channels_at_the_end_of_their_range_are_counted_where_the_bag_says_so(
+    tmp_path: Path, field: str, counts: dict[str, int] | None
+) -> None:
+    arrays = "".join(f"float64[] {name}\n" for name in ("displacement", "acceleration", "stroke", "force", "command"))
+    text = f"std_msgs/Header header\nuint64 sequence\n{arrays}float64 ground_acceleration\n{field}\n"
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(text, RESPONSE))
+    definition = store.generate_msgdef(RESPONSE, ros_version=2)[0]
+    with BagWriter(tmp_path / "bag", {"sample_period": "0.002"}) as bag:
+        number = bag.add_topic("/response", RESPONSE, definition, "")
+        for k, bits in enumerate([0, 0b1, 0b1_0000_0001, 0b10_0001, 0]):
+            sample = response(k)
+            values = (getattr(sample, name) for name in list(store.types[RESPONSE].__dataclass_fields__)[1:-2])
+            message = store.types[RESPONSE](sample.header, *values, bits)
+            bag.write(number, bytes(store.serialize_cdr(message, RESPONSE)), k, k)
+    assert read_run(tmp_path / "bag").clipped_samples == counts
+
+
 def test_single_sample_without_period_is_refused(tmp_path: Path) -> None:
     with pytest.raises(AbraceError, match="stamps don't count up and the facts have no sample_period"):
         read_run(write(tmp_path / "bag", [response(0)], {}))

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import struct
 import subprocess
 from pathlib import Path
 
@@ -21,19 +22,29 @@ from abrace_plant.rig.file import load_rig
 SECONDS = 80.0
 
 
-def write_bag(path: Path, ground: np.ndarray, command: np.ndarray, lost: range = range(0)) -> Path:
-    """A bag of the rig's responses to a ground acceleration and a command that answer sample after sample."""
+def write_bag(
+    path: Path, ground: np.ndarray, command: np.ndarray, lost: range = range(0), clipped: range | None = None
+) -> Path:
+    """A bag of the rig's responses to a ground acceleration and a command that answer sample after sample.
+
+    With `clipped` they say which channels are at the end of their range: a2 in these samples.
+    """
     rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
     loop = RigLoop(rig, 3, 0.02)
     definition = message_definition("abrace_interfaces/msg/Response")
     with BagWriter(path, {"sample_period": "0.002", "rig": rig.name}) as bag:
-        topic = bag.add_topic("/response", definition.type_name, definition.text, definition.type_hash)
+        text = definition.text
+        if clipped is not None:
+            text = text.replace("\n=", "\nuint64 clipped\n=", 1)
+        topic = bag.add_topic("/response", definition.type_name, text, definition.type_hash)
         packed = Responses()
         for k in range(len(ground)):
             sample = loop.sample()
             z = sample.reading
             time = 2_000_000 * k
             payload = packed.pack(time, k, z[:3], z[4:7], z[3:4], z[7:8], sample.command, float(z[8]))
+            if clipped is not None:
+                payload += struct.pack("<Q", (k in clipped) << 5)
             if k not in lost:
                 bag.write(topic, payload, time, time)
             loop.receive_ground_acceleration(k, float(ground[k]))
@@ -52,7 +63,9 @@ def bags(tmp_path_factory) -> dict[str, Path]:
         "table": write_bag(folder / "table", shaken, rest),
         "command": write_bag(folder / "command", rest, pushed),
         "gap": write_bag(folder / "gap", shaken, rest, range(6000, 6025)),
-        "check": write_bag(folder / "check", banded_noise(5000, 500.0, (0.0, 10.0), 0.2, 5), np.zeros(5000)),
+        "check": write_bag(
+            folder / "check", banded_noise(5000, 500.0, (0.0, 10.0), 0.2, 5), np.zeros(5000), clipped=range(700, 714)
+        ),
     }
 
 
@@ -105,6 +118,8 @@ def test_bags_become_a_model_the_model_a_controller_and_both_are_compared(bags, 
     )
     assert ended.returncode == 0, ended.stderr
     found = json.loads((comparison / "comparison.json").read_text())
+    assert found["clipped"] == {"measured": {"a2": 14}}
+    assert f"{bags['check']}: a2: 14 samples at the end of its range" in ended.stderr
     assert set(found["other_models"]) == {"superposed", "reduced"}
     for prediction, least in ((found, 0.998), *((other, 0.98) for other in found["other_models"].values())):
         channels = prediction["simulated_vs_measured"]

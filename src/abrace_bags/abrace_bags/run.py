@@ -116,6 +116,7 @@ def _run(source: str, response: TopicArrays, facts: dict[str, Any]) -> Run:
         ground_acceleration=_finite("ground_acceleration", response.fields["ground_acceleration"], sequence),
         command=values["command"],
         facts=dict(facts),
+        clipped=response.fields.get("clipped"),
     )
 
 

@@ -104,3 +104,16 @@ def mean_relative_error(table: Mapping[str, PeakRms], reference: Mapping[str, Pe
         )
     errors = [abs(a - b) / abs(b) for name, row in reference.items() for a, b in zip(table[name], row, strict=True)]
     return float(np.mean(errors))
+
+
+def clipped_sentences(counts: Mapping[str, int] | None) -> list[str]:
+    """What is to be said of the channels at the end of their range, from `Run.clipped_samples` as `counts`.
+
+    >>> clipped_sentences({"a2": 14, "w": 1})
+    ['a2: 14 samples at the end of its range', 'w: 1 sample at the end of its range']
+    >>> clipped_sentences({})
+    []
+    """
+    if counts is None:
+        return ["samples at the end of a sensor's range: unknown, its responses do not say"]
+    return [f"{name}: {n} sample{'s' if n > 1 else ''} at the end of its range" for name, n in counts.items()]

@@ -38,6 +38,9 @@ class Run:
         (samples, groups) [N], in force until each sample.
     facts
         Of the run, from the bag's metadata: rig, controller, record, versions.
+    clipped
+        (samples,) bit i: channel i of [outputs, ground acceleration] is at the end of its sensor's range; None where
+        the bag does not say.
     """
 
     source: str
@@ -49,6 +52,7 @@ class Run:
     ground_acceleration: NDArray[np.float64]
     command: NDArray[np.float64]
     facts: dict[str, Any] = field(default_factory=dict)
+    clipped: NDArray[np.uint64] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,6 +73,15 @@ class Run:
     def time(self) -> NDArray[np.float64]:
         """(samples,) seconds since the first sample."""
         return (self.sequence - self.sequence[0]).astype(np.float64) * self.sample_period
+
+    @property
+    def clipped_samples(self) -> dict[str, int] | None:
+        """By channel, how many samples are at the end of its sensor's range, where there are some; None: unknown."""
+        if self.clipped is None:
+            return None
+        names = (*self.names, signals.GROUND)[:64]
+        counts = {name: int(np.sum(self.clipped >> np.uint64(i) & np.uint64(1))) for i, name in enumerate(names)}
+        return {name: count for name, count in counts.items() if count}
 
     def channels(self, names: Sequence[str]) -> NDArray[np.float64]:
         """(samples, len(names)) of these outputs, commands or the ground acceleration."""

@@ -10,13 +10,15 @@ poles.json, from an identify step; frequencies [rad/s], slowest first; `true` is
 
 comparison.json, from a validate step; every quantity of the rig in the same order in all three; cm, g, kgf
 (`abrace_core.response.in_paper_units`); channels that never move may be missing in `simulated_vs_measured`;
-`uncontrolled` is null where no such test was made::
+`uncontrolled` is null where no such test was made; `clipped` are samples at the end of a sensor's range, null where the
+bag does not say::
 
     {"test": {"record": "el_centro", "peak_acceleration": 0.980665, "controller": "lqg3"},
      "measured": {"x1": {"peak": 1.10, "rms": 0.16}, ..., "U": {...}}, "simulated": {...}, "uncontrolled": {...},
      "simulated_vs_measured": {"x1": {"correlation": 0.998, "normalised_rms_error": 0.05, "noise_free_error": 0.04},
                                ...},
      "peak_rms_error": 0.01,
+     "clipped": {"measured": {"a2": 14}, "uncontrolled": {}},
      "other_models": {"reduced": {"simulated_vs_measured": {...}, "peak_rms_error": 0.03}, ...}}
 
 timing.json, from the campaign; `samples` and `run_seconds` (from the first sample to the last) for tests alone::
@@ -41,6 +43,7 @@ from abrace_core.response import TABLE_1_EXPERIMENT
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
 NonNegative = Annotated[float, pydantic.Field(ge=0)]
+Count = Annotated[int, pydantic.Field(ge=0)]
 
 
 class Pole(Checked):
@@ -101,6 +104,7 @@ class Comparison(Prediction):
     measured: dict[str, Cells]
     simulated: dict[str, Cells]
     uncontrolled: dict[str, Cells] | None
+    clipped: dict[str, dict[str, Count] | None] = {}
     other_models: dict[str, Prediction]
 
     @pydantic.model_validator(mode="after")

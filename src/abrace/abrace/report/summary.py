@@ -47,6 +47,7 @@ def _comparison(comparison: Comparison) -> dict[str, Any]:
             "simulated_error_vs_paper_experiment": error_vs_paper(comparison, comparison.simulated),
         },
         "uncontrolled": _dumped(comparison.uncontrolled) if comparison.uncontrolled else None,
+        "clipped": comparison.clipped,
         "simulated_vs_measured": _dumped(comparison.simulated_vs_measured),
         "peak_rms_error": comparison.peak_rms_error,
         "other_models": _dumped(comparison.other_models),

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 from abrace.report.results import Cells, Comparison, Facts, Pole, Poles, Prediction, Results, Timing
 from abrace.report.summary import error_vs_paper, nearest_pole, poles_by_test, timing_summary, worst_peak_rms_error
 from abrace.report.table import Table
-from abrace_core.response import TABLE_1_EXPERIMENT, TABLE_1_SIMULATION, PeakRms, mean_relative_error, paper_unit
+from abrace_core.response import (
+    TABLE_1_EXPERIMENT,
+    TABLE_1_SIMULATION,
+    PeakRms,
+    clipped_sentences,
+    mean_relative_error,
+    paper_unit,
+)
 from abrace_plant.rig.published import PAPER_POLES
 
 if TYPE_CHECKING:
@@ -28,6 +35,9 @@ def tables(results: Results) -> list[Table]:
         found.append(_agreement_table(results.main))
     if len(results.comparisons) > 1:
         found += [*_controller_tables(results.comparisons), _all_agreements_table(results.comparisons)]
+    clipped = _clipped_rows(results.comparisons)
+    if clipped:
+        found.append(Table("At the end of a sensor's range", ("test", ""), clipped))
     return [*found, _timing_table(results.timing)]
 
 
@@ -159,6 +169,16 @@ def _all_agreements_table(comparisons: Mapping[str, Comparison]) -> Table:
         ),
         tuple(rows),
         ("Rms errors without sensor noise.",),
+    )
+
+
+def _clipped_rows(comparisons: Mapping[str, Comparison]) -> tuple[tuple[str, str], ...]:
+    """The tests of which some reading is at the end of its range, or of which nobody knows."""
+    return tuple(
+        (f"{step}, {which}", sentence)
+        for step, comparison in comparisons.items()
+        for which, counts in comparison.clipped.items()
+        for sentence in clipped_sentences(counts)
     )
 
 

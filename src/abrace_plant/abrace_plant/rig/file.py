@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import pydantic
@@ -13,7 +13,9 @@ from abrace_core.errors import AbraceError
 from abrace_core.safety.table_stop import Table
 from abrace_plant.rig.actuator import Actuator
 from abrace_plant.rig.building import Building, modal_damping, rayleigh_damping, shear_stiffness, stiffness_of_modes
-from abrace_plant.rig.model import BraceGroup, LocalMode, Rig
+from abrace_plant.rig.detectors import detectors, sensor_noise
+from abrace_plant.rig.limits import check_limits
+from abrace_plant.rig.model import BraceGroup, Interlock, LocalMode, Rig
 from abrace_plant.rig.plausibility import Number, check_units
 from abrace_plant.rig.sensors import Sensor, SensorSet
 
@@ -109,6 +111,35 @@ class _Sensors(Checked):
     ground_acceleration: _Sensor
 
 
+class _ReadingInterlock(Checked):
+    time: Annotated[float, pydantic.Field(ge=0, le=2)]
+    action: Literal["stop", "warn"] = "stop"
+    reset: Literal["person"] = "person"
+
+
+class _Interlock(_ReadingInterlock):
+    value: Positive
+
+
+class _Interlocks(Checked):
+    drift: _Interlock | None = None
+    displacement: _Interlock | None = None
+    velocity: _Interlock | None = None
+    stroke: _Interlock | None = None
+    acceleration: _Interlock | None = None
+    force: _Interlock | None = None
+    force_error: _Interlock | None = None
+    oscillation: _Interlock | None = None
+    table_displacement: _Interlock | None = None
+    table_velocity: _Interlock | None = None
+    implausible_acceleration: _Interlock | None = None
+    implausible_stroke: _Interlock | None = None
+    noisy: _Interlock | None = None
+    dead: _Interlock | None = None
+    stuck: _ReadingInterlock | None = None
+    clipped: _ReadingInterlock | None = None
+
+
 class _Rig(Checked):
     name: str
     sample_rate: Positive
@@ -117,6 +148,7 @@ class _Rig(Checked):
     braces: Annotated[list[_BraceGroup], pydantic.Field(min_length=1)]
     local_modes: list[_LocalMode] = []
     sensors: _Sensors
+    interlocks: _Interlocks = _Interlocks()
 
 
 def load_rig(path: Path | str) -> Rig:
@@ -166,9 +198,13 @@ def _rig(content: _Rig) -> Rig:
         ),
         sensors=SensorSet(**{kind: Sensor(**dict(sensor)) for kind, sensor in content.sensors}),
         storey_height=content.building.storey_height,
+        interlocks={
+            name: Interlock(**{"value": 0.0} | dict(given)) for name, given in content.interlocks if given is not None
+        },
     )
     check_units(rig, stated_stiffness, stated_damping)
     _expect_fast_enough(rig)
+    check_limits(rig, detectors(rig).noise(sensor_noise(rig)))
     return rig
 
 

@@ -10,7 +10,7 @@ the local modes. The stiffeners act on the floors directly: a brace's load cell 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
 
     from numpy.typing import NDArray
 
@@ -93,6 +93,28 @@ class LocalMode:
 
 
 @dataclass(frozen=True)
+class Interlock:
+    """A limit of one kind, for each channel of that kind.
+
+    Parameters
+    ----------
+    value
+        In the unit of `limits.UNITS`; 0 for `stuck` and `clipped`, which have none.
+    time
+        How long the value has to be exceeded before the interlock acts [s]; at least one sample.
+    action
+        "stop": braces and table are ramped down, and stay so; "warn": it is only reported.
+    reset
+        "person": only a person clears a stop.
+    """
+
+    value: float
+    time: float
+    action: str = "stop"
+    reset: str = "person"
+
+
+@dataclass(frozen=True)
 class Rig:
     """A building with braces on a shake table.
 
@@ -109,7 +131,9 @@ class Rig:
     sensors
         Those that measure the outputs.
     storey_height
-        m, for drawing.
+        m, for drawing and for the limit of the drift.
+    interlocks
+        Limits by name; those that are left out follow from the other numbers, see `limits.limit_table`.
     """
 
     name: str
@@ -120,6 +144,7 @@ class Rig:
     local_modes: tuple[LocalMode, ...]
     sensors: SensorSet
     storey_height: float = 3.0
+    interlocks: Mapping[str, Interlock] = field(default_factory=dict)
 
     @property
     def floors(self) -> int:

@@ -43,6 +43,16 @@ class Sensor:
     bias: float = 0.0
     drift: float = 0.0
 
+    @property
+    def step(self) -> float:
+        """Of the converter, in the channel's SI unit."""
+        return self.range / 2 ** (self.bits - 1)
+
+    @property
+    def highest(self) -> float:
+        """The highest reading, a step below the range; the lowest is -range."""
+        return self.range - self.step
+
 
 @dataclass(frozen=True)
 class SensorSet:
@@ -140,8 +150,8 @@ class Measurement:
         self._bias = np.array([channel.bias for channel in channels])
         self._drift = np.array([channel.drift for channel in channels]) * sample_period
         self._limit = np.array([channel.range for channel in channels])
-        self._step = np.array([channel.range / 2 ** (channel.bits - 1) for channel in channels])
-        self._most = self._limit - self._step
+        self._step = np.array([channel.step for channel in channels])
+        self._most = np.array([channel.highest for channel in channels])
         self._random = np.random.default_rng(seed)
         self._open_inputs = np.random.default_rng((seed, 1))
         self._errors = np.empty((0, len(channels)))

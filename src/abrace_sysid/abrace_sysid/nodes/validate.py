@@ -13,7 +13,7 @@ from abrace_core.drawing import save_figure
 from abrace_core.files import write_text
 from abrace_core.linear_model import load_model
 from abrace_core.node import AbraceNode, Parameter, run
-from abrace_core.response import PeakRms, in_paper_units, peak_rms
+from abrace_core.response import PeakRms, clipped_sentences, in_paper_units, peak_rms
 from abrace_sysid.figures import validation as figures
 from abrace_sysid.validation import Comparison, compare
 
@@ -45,10 +45,15 @@ class Validate(AbraceNode):
         for recorded in [test] + ([uncontrolled] if uncontrolled else []):
             for warning in recorded.facts.get("warnings", []):
                 self.get_logger().warning(warning)
+            for sentence in clipped_sentences(recorded.clipped_samples):
+                self.get_logger().warning(f"{recorded.source}: {sentence}")
         law, limit, correction = None, np.full(test.groups, np.inf), None
         if given.controller:
             controller = load_controller(given.controller)
             law, limit, correction = controller.law, controller.force_limit, controller.correction
+        clipped = {"measured": test.clipped_samples}
+        if uncontrolled:
+            clipped["uncontrolled"] = uncontrolled.clipped_samples
         print("simulating", flush=True)
         comparison = compare(test, model, law, limit, correction)
         agreement = _agreement(comparison)
@@ -64,6 +69,7 @@ class Validate(AbraceNode):
             "measured": _table(comparison.measured_peak_rms()),
             "simulated": _table(comparison.simulated_peak_rms()),
             "uncontrolled": _table(peak_rms(uncontrolled)) if uncontrolled else None,
+            "clipped": clipped,
             "simulated_vs_measured": agreement,
             "peak_rms_error": comparison.peak_rms_error(),
             "other_models": {

@@ -1,0 +1,230 @@
+"""What the interlocks watch, sample by sample: one linear system from readings, command and table to all quantities.
+
+Most quantities are readings or differences of readings. Four need filters, which are made in continuous time and
+discretised by the bilinear transformation:
+
+velocity                   of a floor relative to the table: its displacement's derivative, smoothed by a Butterworth
+                           low-pass of second order at `VELOCITY_CUTOFF`
+force error                |U_lag - f|: the command in force, after the actuator's `command_delay` and through
+                           1 / (lag s + 1), held between samples, less the force in the load cell
+implausible acceleration   an accelerometer against its neighbours, the displacement of its floor and the table's
+                           accelerometer: F(s) (a - w) - s^2 F(s) x, which is zero for x'' = a - w
+oscillation                rms over `OSCILLATION_TIME` of the force that is faster than the building: after a
+                           Butterworth high-pass of second order at `FASTER` times its highest frequency. A loop that
+                           is unstable with a local mode ends in a limit cycle that hardly moves the building
+
+F is a band-pass around the building's first frequency (`BAND` times it; a high-pass and a low-pass of second order):
+slower, an accelerometer's drift would count, faster, the local modes, which only accelerometers see, and the noise of
+the displacement, which the two derivatives raise with the square of the frequency. It needs no model of the building,
+so that whatever the building does, also beyond its elastic range, is plausible; a sensor that is dead, turned around,
+swapped with another or wrongly calibrated is not.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from abrace_core import signals
+from abrace_core.discretization import discretize
+from abrace_core.linear_model import LinearModel
+from abrace_plant.rig.limits import frequencies
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_plant.rig.model import Rig
+
+VELOCITY_CUTOFF = 20.0
+"""[Hz], or a fifth of the sample rate where that is less."""
+BAND = (0.4, 2.5)
+"""Of F: its high-pass and low-pass, times the first frequency."""
+FASTER = 1.3
+OSCILLATION_TIME = 0.25
+"""[s]."""
+SETTLING = 5.0
+"""Time constants of the high-pass after which the implausibility of an acceleration counts: it may start in motion."""
+
+Matrices = tuple["NDArray[np.float64]", "NDArray[np.float64]", "NDArray[np.float64]", "NDArray[np.float64]"]
+
+
+class Quantity(NamedTuple):
+    """One number that an interlock watches: the key of its interlock, the channel, and its name in messages."""
+
+    interlock: str
+    channel: str
+    name: str
+
+
+class Detectors(NamedTuple):
+    """The quantities of a rig, [next states; quantities] = step [states; inputs].
+
+    Of an oscillation the quantity is the force above the building's modes, its rms is left to take.
+    Inputs are the readings (channels,), the commands in force until them (groups,), the table's displacement and its
+    velocity.
+    """
+
+    quantities: tuple[Quantity, ...]
+    step: NDArray[np.float64]
+    """(states + quantities, states + inputs)."""
+    at_rest: NDArray[np.float64]
+    """(states, inputs): the states after inputs that have always been the same."""
+    settling: int
+    """Samples after a start for which the implausibility of accelerations does not count; one or more."""
+
+    def noise(self, deviations: NDArray[np.float64]) -> dict[str, float]:
+        """Standard deviation of the noisiest quantity of each interlock, by the inputs' `deviations` (inputs,)."""
+        states = len(self.at_rest)
+        a, b, c, d = (
+            self.step[:states, :states],
+            self.step[:states, states:] * deviations,
+            self.step[states:, :states],
+            self.step[states:, states:] * deviations,
+        )
+        covariance = linalg.solve_discrete_lyapunov(a, b @ b.T)
+        variances = np.einsum("ij,jk,ik->i", c, covariance, c) + np.sum(d**2, axis=1)
+        found: dict[str, float] = {}
+        for quantity, variance in zip(self.quantities, variances, strict=True):
+            found[quantity.interlock] = max(found.get(quantity.interlock, 0.0), float(np.sqrt(variance)))
+        return found
+
+
+class _System:
+    """Filters and quantities, put together one after the other."""
+
+    def __init__(self, inputs: int) -> None:
+        self._inputs = inputs
+        self._a: list[NDArray[np.float64]] = []
+        self._b: list[NDArray[np.float64]] = []
+        self._rows: list[tuple[Quantity, int, NDArray[np.float64], NDArray[np.float64]]] = []
+        self._states = 0
+
+    def watch(self, quantity: Quantity, inputs: NDArray[np.float64]) -> None:
+        """Add a quantity that is a sum of inputs, by their factors (inputs,)."""
+        self._rows.append((quantity, 0, np.zeros(0), inputs))
+
+    def filter(self, quantity: Quantity, matrices: Matrices, inputs: NDArray[np.float64]) -> None:
+        """Add a quantity that is a discrete filter's output; `inputs` (filter's inputs, inputs) are its factors."""
+        a, b, c, d = matrices
+        self._a.append(a)
+        self._b.append(b @ inputs)
+        self._rows.append((quantity, self._states, c[0], d[0] @ inputs))
+        self._states += len(a)
+
+    def finished(self, settling: int) -> Detectors:
+        a = linalg.block_diag(*self._a) if self._a else np.zeros((0, 0))
+        b = np.vstack(self._b) if self._b else np.zeros((0, self._inputs))
+        c: NDArray[np.float64] = np.zeros((len(self._rows), self._states))
+        for row, (_, first, of_states, _) in zip(c, self._rows, strict=True):
+            row[first : first + len(of_states)] = of_states
+        d = np.array([of_inputs for _, _, _, of_inputs in self._rows])
+        at_rest = np.linalg.solve(np.eye(self._states) - a, b)
+        step: NDArray[np.float64] = np.ascontiguousarray(np.block([[a, b], [c, d]]))
+        return Detectors(tuple(row[0] for row in self._rows), step, np.asarray(at_rest, dtype=np.float64), settling)
+
+
+def detectors(rig: Rig) -> Detectors:
+    """The detectors of a rig; a disconnected brace group has none."""
+    n, m, period = rig.floors, rig.groups, 1 / rig.sample_rate
+    channels = (*signals.response_names(n, m), signals.GROUND)
+    inputs = len(channels) + m + 2
+    unit = np.eye(inputs)
+    x, stroke, a, force = (unit[first:] for first in (0, n, n + m, 2 * n + m))
+    ground, command = unit[2 * n + 2 * m], unit[len(channels) :]
+    system = _System(inputs)
+
+    for i in range(n):
+        below = x[i - 1] if i else np.zeros(inputs)
+        system.watch(Quantity("drift", f"x{i + 1}", f"interstorey drift of storey {i + 1}"), x[i] - below)
+    for i in range(n):
+        system.watch(Quantity("displacement", f"x{i + 1}", f"displacement x{i + 1}"), x[i])
+    cutoff = 2 * np.pi * min(VELOCITY_CUTOFF, rig.sample_rate / 5)
+    derivative = _bilinear(_second_order(cutoff, (0.0, cutoff**2, 0.0)), period)
+    for i in range(n):
+        system.filter(Quantity("velocity", f"x{i + 1}", f"velocity of floor {i + 1}"), derivative, x[i : i + 1])
+    connected = [j for j in range(m) if rig.braces[j].connected]
+    names = channels[n : n + m], channels[2 * n + m : 2 * n + 2 * m]
+    for j in connected:
+        system.watch(Quantity("stroke", names[0][j], f"stroke {names[0][j]}"), stroke[j])
+    for i in range(n):
+        system.watch(Quantity("acceleration", f"a{i + 1}", f"acceleration a{i + 1}"), a[i])
+    for j in connected:
+        system.watch(Quantity("force", names[1][j], f"force {names[1][j]}"), force[j])
+        error = Quantity("force_error", names[1][j], f"force {names[1][j]} against its command")
+        actuator = rig.braces[j].actuator
+        system.filter(error, _lag(actuator.lag, actuator.command_delay, period), np.array([command[j], force[j]]))
+    modes = frequencies(rig)
+    faster = _bilinear(_second_order(FASTER * modes[-1], (1.0, 0.0, 0.0)), period)
+    for j in connected:
+        name = f"oscillation of force {names[1][j]}, rms above {FASTER * modes[-1] / (2 * np.pi):.3g} Hz"
+        system.filter(Quantity("oscillation", names[1][j], name), faster, force[j : j + 1])
+    system.watch(Quantity("table_displacement", "table", "displacement of the table"), unit[-2])
+    system.watch(Quantity("table_velocity", "table", "velocity of the table"), unit[-1])
+
+    slow, fast = (factor * modes[0] for factor in BAND)
+    residual = _bilinear(_residual(slow, fast), period)
+    for i in range(n):
+        name = f"a{i + 1} against x{i + 1} and {signals.GROUND}"
+        system.filter(
+            Quantity("implausible_acceleration", f"a{i + 1}", name), residual, np.array([a[i] - ground, x[i]])
+        )
+    for j in connected:
+        group = rig.braces[j]
+        expected = group.cosine * group.direction(n) @ x[:n]
+        name = f"stroke {names[0][j]} against its floor's displacement"
+        system.watch(Quantity("implausible_stroke", names[0][j], name), stroke[j] - expected)
+    sensors = rig.sensors.channels(n, m)
+    for k, channel in enumerate(channels):
+        jump = _second_difference(1 / sensors[k].range)
+        system.filter(Quantity("noisy", channel, f"jumps of {channel}"), jump, unit[k : k + 1])
+    return system.finished(int(np.ceil(SETTLING / slow / period)))
+
+
+def _second_order(frequency: float, *numerators: Sequence[float]) -> Matrices:
+    """(n2 s^2 + n1 s + n0) / (s^2 + sqrt(2) w s + w^2), one input for each numerator (n2, n1, n0); observable form."""
+    damping, stiffness = np.sqrt(2) * frequency, frequency**2
+    n2, n1, n0 = np.array(numerators).T
+    a = np.array([[-damping, 1.0], [-stiffness, 0.0]])
+    return a, np.array([n1 - damping * n2, n0 - stiffness * n2]), np.array([[1.0, 0.0]]), n2[None]
+
+
+def _residual(slow: float, fast: float) -> Matrices:
+    """From (a - w, x) to F (a - w) - s^2 F x: the low-pass of the difference, then the high-pass."""
+    a1, b1, c1, d1 = _second_order(fast, (0.0, 0.0, fast**2), (-(fast**2), 0.0, 0.0))
+    a2, b2, c2, d2 = _second_order(slow, (1.0, 0.0, 0.0))
+    a = np.block([[a1, np.zeros((2, 2))], [b2 @ c1, a2]])
+    return a, np.vstack([b1, b2 @ d1]), np.hstack([d2 @ c1, c2]), d2 @ d1
+
+
+def _bilinear(matrices: Matrices, period: float) -> Matrices:
+    a, b, c, d = matrices
+    half = period / 2 * a
+    inverse = np.linalg.inv(np.eye(len(a)) - half)
+    return inverse @ (np.eye(len(a)) + half), period * inverse @ b, c @ inverse, d + period / 2 * c @ inverse @ b
+
+
+def _lag(lag: float, delay: float, period: float) -> Matrices:
+    """From (command in force until a sample, force at it) to the command after delay and lag, less the force."""
+    one = np.ones((1, 1))
+    servo = LinearModel(-one / lag, one / lag, one, 0 * one, ("U",), ("f",), input_delay=(delay,))
+    model = discretize(servo, period)
+    # the command that ends at a sample has acted on the state by then
+    b = np.hstack([model.b, np.zeros((model.order, 1))])
+    return model.a, b, model.c @ model.a, np.hstack([model.c @ model.b, -one])
+
+
+def _second_difference(factor: float) -> Matrices:
+    """factor (r(k) - 2 r(k-1) + r(k-2)): what is left of a smooth motion is small, of white noise 2.4 times it."""
+    a, b = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[1.0], [0.0]])
+    return a, b, factor * np.array([[-2.0, 1.0]]), np.array([[factor]])
+
+
+def sensor_noise(rig: Rig) -> NDArray[np.float64]:
+    """(inputs,) standard deviations of the inputs by the sensors of a `rig` alone, steps of the converter included."""
+    sensors = rig.sensors.channels(rig.floors, rig.groups)
+    readings = [np.hypot(sensor.noise, sensor.step / np.sqrt(12)) for sensor in sensors]
+    return np.array([*readings, *[0.0] * (rig.groups + 2)])

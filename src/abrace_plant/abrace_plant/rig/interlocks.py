@@ -1,0 +1,262 @@
+"""Interlocks: limits on what a rig's sensors read, checked once a sample, whoever commands and whatever fails.
+
+Each interlock of `limits.limit_table` watches every channel of its kind. It acts when its value has been exceeded for
+its time without a break; a reading that is not a number trips at once. Some watch quantities of `detectors`, three the
+readings themselves: `stuck` (the same to the last bit), `dead` (less than its own noise) and `clipped` (at the end
+of the sensor's range). A sensor whose noise is less than a step of its converter may rest on one reading: such
+channels are not watched for `stuck` and `dead`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from abrace_core import signals
+from abrace_plant.rig.detectors import OSCILLATION_TIME, Quantity, detectors, sensor_noise
+from abrace_plant.rig.limits import UNITS, limit_table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_plant.rig.model import Rig
+
+TRUE = b"\1"
+NUMBER = "number"
+"""What `Trip` names as the interlock where a reading or the command is not a number."""
+NEVER = 2**62
+"""Samples after which a channel that is not watched would trip."""
+
+
+class Trip(NamedTuple):
+    """What an interlock found; as text, a sentence with its key in the rig file.
+
+    Parameters
+    ----------
+    interlock
+        Its key in the rig file.
+    channel
+        The first channel that exceeded it.
+    name
+        Of the quantity, as in messages.
+    value, limit
+        At the sample at which it acted, and the interlock's; SI units, see `limits.UNITS`. Of `stuck`, `dead` and
+        `clipped` the value is the reading.
+    time
+        For which the limit was exceeded [s].
+    """
+
+    interlock: str
+    channel: str
+    name: str
+    value: float
+    limit: float
+    time: float
+
+    def __str__(self) -> str:
+        span = f"for {1e3 * self.time:.4g} ms"
+        if self.interlock == NUMBER:
+            return f"{self.name}: {self.value}, expected a number"
+        if self.interlock in STATES:
+            return f"{self.name} at {_short(self.value)} {span} (interlocks.{self.interlock})"
+        unit = UNITS[self.interlock]
+        found = f"{self.name}: {_short(self.value)} {unit} {span}"
+        return f"{found}, limit {_short(self.limit)} (interlocks.{self.interlock})"
+
+
+def _short(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+
+
+STATES = {
+    "dead": "{}: less than its own noise,",
+    "stuck": "{}: stuck",
+    "clipped": "{}: at the end of its range,",
+}
+"""Interlocks on the readings themselves, and how a message names them."""
+
+
+class Interlocks:
+    """The interlocks of a rig.
+
+    Parameters
+    ----------
+    rig
+        The rig.
+
+    Attributes
+    ----------
+    table
+        Every interlock of the rig by its key, in the order in which they are asked.
+    warnings
+        What the interlocks with the action "warn" found at the last sample.
+    trips
+        By interlock, how often it has acted so far.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        found = detectors(rig)
+        self.table = limit_table(rig, found.noise(sensor_noise(rig)))
+        sensors = rig.sensors.channels(rig.floors, rig.groups)
+        names = (*signals.response_names(rig.floors, rig.groups), signals.GROUND)
+        self._channels = count = len(sensors)
+        self._names = (*names, *signals.command_names(rig.groups), "displacement of the table", "velocity of the table")
+        self._quantities = (
+            *found.quantities,
+            *(Quantity(state, name, text.format(name)) for state, text in STATES.items() for name in names),
+        )
+        kinds = [self.table[quantity.interlock] for quantity in self._quantities]
+        self._stops = [kind.action == "stop" for kind in kinds]
+        self._period = 1 / rig.sample_rate
+        needed = [max(1, math.ceil(kind.time * rig.sample_rate - 1e-9)) for kind in kinds]
+        linear = len(found.quantities)
+        quiet = np.array([sensor.noise < sensor.step for sensor in sensors])
+        self._needed = np.array(needed)
+        self._needed[linear : linear + 2 * count][np.tile(quiet, 2)] = NEVER
+        self._limits = np.array([kind.value for kind in kinds[:linear]])
+        self._settle = [i for i, one in enumerate(found.quantities) if one.interlock == "implausible_acceleration"]
+        self._settling = found.settling
+        # [next states; quantities] = step [states; inputs], all views of two vectors
+        states = len(found.at_rest)
+        self._step, self._at_rest = found.step, found.at_rest
+        self._vector, self._result = np.zeros(self._step.shape[1]), np.zeros(self._step.shape[0])
+        self._states, self._inputs = self._vector[:states], self._vector[states:]
+        self._ones, self._reading = np.ones(len(self._inputs)), self._inputs[:count]
+        self._command = self._inputs[count : count + rig.groups]
+        self._next_states, self._values = self._result[:states], self._result[states:]
+        self._sizes, self._greatest = np.zeros(linear), np.zeros(linear)
+        oscillations = [i for i, one in enumerate(found.quantities) if one.interlock == "oscillation"]
+        self._oscillation = self._sizes[oscillations[0] : oscillations[-1] + 1] if oscillations else np.zeros(0)
+        self._power, self._share = np.zeros(len(oscillations)), 1 / (OSCILLATION_TIME * rig.sample_rate)
+        self._within = np.ones(len(self._quantities), dtype=np.bool_)
+        self._linear_within, self._not_clipped = self._within[:linear], self._within[linear + 2 * count :]
+        # of dead and stuck: the reading from which the later ones are counted, and how far they may be from it
+        self._moved = self._within[linear : linear + 2 * count].reshape(2, count)
+        self._band = np.zeros((2, count))
+        self._band[0] = self.table["dead"].value * np.array([sensor.noise for sensor in sensors])
+        self._references, self._distances = np.zeros((2, count)), np.zeros((2, count))
+        self._of_dead, self._of_stuck, self._not_dead = *self._references, self._moved[0]
+        self._exceeded = np.zeros(len(self._quantities), dtype=np.int64)
+        self._longest, self._tripped = self._exceeded.copy(), self._within.copy()
+        self.trips = dict.fromkeys(self.table, 0)
+        self.warnings: list[Trip] = []
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew, with a new run or after a person has cleared a stop: every time counts from the next sample."""
+        self._samples = 0
+        self._exceeded[:] = 0
+        self._not_clipped[:] = True
+        self._was_clipped = 0
+        self.warnings = []
+
+    def check(
+        self,
+        reading: NDArray[np.float64],
+        command: Sequence[float] | NDArray[np.float64],
+        table_velocity: float,
+        table_displacement: float,
+        clipped: int,
+    ) -> Trip | None:
+        """Check a sample; to be called at every one.
+
+        Parameters
+        ----------
+        reading
+            (channels,) [displacements, strokes, accelerations, forces, ground acceleration], SI units.
+        command
+            (groups,) [N], in force until this sample, for one brace of each group.
+        table_velocity, table_displacement
+            Of the commanded motion [m/s], [m].
+        clipped
+            Bit i: channel i is at the end of its range, as from `OverRange`.
+
+        Returns
+        -------
+        Trip or None
+            What asks for a protective stop: the first interlock in the order of the table, as long as its value is
+            exceeded. Those that only warn are in `warnings`.
+        """
+        self._reading[:] = reading
+        self._command[:] = command
+        self._inputs[-2], self._inputs[-1] = table_displacement, table_velocity
+        if not math.isfinite(self._ones.dot(self._inputs)):  # because one of the inputs is not, or is absurd
+            return self._not_a_number()
+        if not self._samples:
+            self._begin()
+        np.dot(self._step, self._vector, out=self._result)
+        self._states[:] = self._next_states
+        np.abs(self._values, out=self._sizes)
+        if self._samples < self._settling:
+            self._samples += 1
+            self._sizes[self._settle] = 0.0
+        self._rms(self._oscillation)
+        np.less_equal(self._sizes, self._limits, out=self._linear_within)
+        np.maximum(self._greatest, self._sizes, out=self._greatest)
+        np.subtract(self._references, reading, out=self._distances)
+        np.abs(self._distances, out=self._distances)
+        np.greater(self._distances, self._band, out=self._moved)
+        np.copyto(self._of_dead, reading, where=self._not_dead)
+        self._of_stuck[:] = reading
+        if clipped != self._was_clipped:
+            self._was_clipped = clipped
+            self._not_clipped[:] = [not clipped >> i & 1 for i in range(self._channels)]
+        exceeded = self._exceeded
+        np.add(exceeded, 1, out=exceeded)
+        np.copyto(exceeded, 0, where=self._within)
+        np.maximum(self._longest, exceeded, out=self._longest)
+        np.greater_equal(exceeded, self._needed, out=self._tripped)
+        if TRUE in self._tripped.tobytes():  # quicker than any() by half a microsecond
+            return self._report()
+        if self.warnings:
+            self.warnings = []
+        return None
+
+    def utilisation(self) -> dict[str, float]:
+        """By interlock, the greatest value so far over its limit, of the channel that came nearest.
+
+        Of `stuck`, `dead` and `clipped` it is the longest time over theirs. It is kept over `reset`.
+        """
+        shares = np.concatenate([self._greatest / self._limits, (self._longest / self._needed)[len(self._greatest) :]])
+        found = dict.fromkeys(self.table, 0.0)
+        for quantity, share in zip(self._quantities, shares.tolist(), strict=True):
+            found[quantity.interlock] = max(found[quantity.interlock], share)
+        return found
+
+    def _rms(self, force: NDArray[np.float64]) -> None:
+        """Replace what is fast of the `force` (groups,) by its rms over the last samples."""
+        np.multiply(force, force, out=force)
+        np.subtract(force, self._power, out=force)
+        np.multiply(force, self._share, out=force)
+        np.add(self._power, force, out=self._power)
+        np.sqrt(self._power, out=force)
+
+    def _begin(self) -> None:
+        """The first sample: filters as if it had always been."""
+        self._states[:] = self._at_rest @ self._inputs
+        self._references[:] = self._reading
+        self._power[:] = 0.0
+
+    def _not_a_number(self) -> Trip:
+        place = int(np.argmax(np.where(np.isfinite(self._inputs), np.abs(self._inputs), np.inf)))
+        return Trip(NUMBER, self._names[place], self._names[place], float(self._inputs[place]), math.inf, self._period)
+
+    def _report(self) -> Trip | None:
+        stop: Trip | None = None
+        self.warnings = []
+        for i in np.flatnonzero(self._tripped).tolist():
+            quantity, samples = self._quantities[i], int(self._exceeded[i])
+            if samples == self._needed[i]:
+                self.trips[quantity.interlock] += 1
+            value = self._sizes[i] if i < len(self._sizes) else self._reading[(i - len(self._sizes)) % self._channels]
+            limit = self.table[quantity.interlock].value
+            trip = Trip(*quantity, float(value), limit, samples * self._period)
+            if not self._stops[i]:
+                self.warnings.append(trip)
+            elif stop is None:
+                stop = trip
+        return stop

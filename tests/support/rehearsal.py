@@ -1,0 +1,193 @@
+"""Tests of a rig sample by sample without ROS, with its interlocks: for their margins, and for what trips them.
+
+The parts are those that run in the nodes: motion within the limits, sensors with their faults, command guards, the
+control law. A trip ramps braces and table down; the test goes on for as long as it was to last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from abrace_core import signals
+from abrace_core.controller_file import Controller
+from abrace_core.noise import banded_noise
+from abrace_core.safety.command_guard import CommandGuard
+from abrace_lqg.control_law import ControlLaw
+from abrace_lqg.design import design
+from abrace_plant.records.files import read_record
+from abrace_plant.records.record import Record
+from abrace_plant.records.treatment import Treatment, prepare
+from abrace_plant.rig.interlocks import Interlocks, Trip
+from abrace_plant.rig.motion import RigMotion
+from abrace_plant.rig.over_range import OverRange
+from abrace_plant.rig.sensors import Measurement, parse_fault
+from abrace_sysid.models.reduction import balanced_truncation, typical_scales
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from abrace_lqg.weights import Weights
+    from abrace_plant.rig.model import Rig
+
+Array = NDArray[np.float64]
+RAMP_TIME = 0.5
+"""Of a protective stop [s]."""
+TENTH_OF_G = 0.980665
+
+
+class Outcome(NamedTuple):
+    """Of a test: what tripped and when [s], the greatest true drift until then and at all [m], and the utilisation."""
+
+    trip: Trip | None
+    time: float
+    drift: float
+    greatest_drift: float
+    utilisation: dict[str, float]
+
+
+def controller(rig: Rig, weights: Weights, gain: float = 1.0) -> Controller:
+    """The controller of these weights on the rig's model of 8 states.
+
+    With another `gain` than 1 it is wrong (-1: its sign), and winds up, as Eq. (13) is printed.
+    """
+    reduced = balanced_truncation(rig.model, 8, typical_scales(rig.model, (0.3, 30.0))).model
+    made = design(reduced, weights, 1 / rig.sample_rate)
+    law = replace(made.controller, c=gain * made.controller.c, d=gain * made.controller.d)
+    correction = made.correction if gain == 1 else 0 * made.correction
+    return Controller("law", law, correction, made.prediction, rig.capacity, "", "", "")
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Something that is wrong from `start` on [s].
+
+    Parameters
+    ----------
+    start
+        [s].
+    fault
+        A sensor fault such as "a2=stuck".
+    tamper
+        Changes a reading in place.
+    table
+        Acceleration [m/s^2] that the table has beyond the commanded one.
+    """
+
+    start: float = 0.0
+    fault: str = ""
+    tamper: Callable[[Array], None] | None = None
+    table: float = 0.0
+
+
+def rehearse(
+    rig: Rig,
+    ground: Array,
+    excitation: Array | None = None,
+    law: Controller | None = None,
+    cause: Cause | None = None,
+    seed: int = 1,
+) -> Outcome:
+    """Run a test.
+
+    Parameters
+    ----------
+    rig
+        The rig.
+    ground
+        (samples,) acceleration of the table [m/s^2].
+    excitation
+        (samples,) command of every group [N]; None: zero, or the law's.
+    law
+        The controller, from the first sample on.
+    cause
+        What goes wrong; None: nothing.
+    seed
+        Of the sensors' noise.
+    """
+    cause = cause or Cause()
+    period, groups = 1 / rig.sample_rate, rig.groups
+    names = (*signals.response_names(rig.floors, groups), signals.GROUND)
+    sensors = rig.sensors.channels(rig.floors, groups)
+    measurement, over_range = Measurement(sensors, seed, period), OverRange(sensors)
+    if cause.fault:
+        measurement.faults = (parse_fault(f"{cause.fault}@{cause.start}", names, period),)
+    interlocks, motion = Interlocks(rig), RigMotion(rig)
+    guard = CommandGuard(rig.capacity, rig.rate_limit, period, RAMP_TIME)
+    table_guard = CommandGuard([rig.table.peak_acceleration], [rig.table.peak_jerk], period, RAMP_TIME)
+    running = ControlLaw(law, names) if law else None
+    start = round(cause.start / period)
+    zero, force = np.zeros(groups), np.zeros(groups)
+    true = np.zeros(len(names))
+    velocity = displacement = last = drift = greatest = 0.0
+    trip, time = None, 0.0
+    for k, planned in enumerate(ground):
+        until_now = force
+        acceleration = float(table_guard.check([planned + (cause.table if k >= start else 0.0)])[0])
+        velocity += period / 2 * (last + acceleration)
+        displacement += period * velocity - period**2 / 4 * (acceleration - last)
+        last = acceleration
+        true[:-1] = motion.outputs(acceleration, force)
+        true[-1] = acceleration
+        reading = measurement.read(true)
+        if cause.tamper and k >= start:
+            cause.tamper(reading)
+        found = interlocks.check(reading, until_now, velocity, displacement, over_range.check(reading))
+        greatest = max(greatest, float(np.abs(np.diff(true[: rig.floors], prepend=0.0)).max()))
+        if found and not trip:
+            trip, time, drift = found, k * period, greatest
+            guard.fault(str(found))
+            table_guard.fault(str(found))
+        if running:
+            force = guard.check(running.update(reading.tolist()))
+            running.advance(force.tolist())
+        else:
+            force = guard.check(zero if excitation is None else np.full(groups, excitation[k]))
+    return Outcome(trip, time, drift, greatest, interlocks.utilisation())
+
+
+def el_centro(sample_rate: float, seconds: float = 0.0) -> Array:
+    """El Centro at 0.1 g; whole unless `seconds` [s] are given."""
+    return prepare(read_record("el_centro"), sample_rate, Treatment(peak_acceleration=TENTH_OF_G, duration=seconds))
+
+
+def pulse(sample_rate: float) -> Array:
+    """A near-fault pulse of 1 s at 0.1 g, as Kobe has it, and 12 s of what follows."""
+    time = np.arange(round(15 * sample_rate)) / sample_rate - 3.0
+    motion = np.cos(2 * np.pi * time) * np.exp(-(time**2) / 0.5)
+    return _table_motion(motion, sample_rate) * TENTH_OF_G
+
+
+def earthquake(sample_rate: float, seed: int = 3000) -> Array:
+    """Noise that rises and decays as an earthquake does, at 0.1 g, 40 s."""
+    time = np.arange(round(40 * sample_rate)) / sample_rate
+    rise_and_decay = np.minimum(time / 2, 1) * np.exp(-np.maximum(time - 8, 0) / 8)
+    noise = banded_noise(len(time), sample_rate, (0.3, 12.0), 1.0, seed) * rise_and_decay
+    return _table_motion(noise, sample_rate) * TENTH_OF_G
+
+
+def harmonic(sample_rate: float, frequency: float, amplitude: float, seconds: float = 20.0) -> Array:
+    """A sinusoid of `frequency` [rad/s] and `amplitude` [m/s^2] that rises within 3 s."""
+    time = np.arange(round(seconds * sample_rate)) / sample_rate
+    # from the rest of the displacement, so that the table does not drift
+    return _table_motion(np.minimum(time / 3, 1) * np.sin(frequency * time), sample_rate) * amplitude
+
+
+def table_noise(sample_rate: float, seconds: float, rms: float, seed: int) -> Array:
+    """White noise of the table up to 10 Hz with an `rms` [m/s^2], as far down as the table can follow."""
+    noise = _table_motion(banded_noise(round(seconds * sample_rate), sample_rate, (0.0, 10.0), 1.0, seed), sample_rate)
+    return noise * rms / np.sqrt(np.mean(noise**2))
+
+
+def command_noise(sample_rate: float, seconds: float, rms: float, seed: int) -> Array:
+    """White noise of the command up to 30 Hz with an `rms` [N]."""
+    return banded_noise(round(seconds * sample_rate), sample_rate, (0.0, 30.0), rms, seed)
+
+
+def _table_motion(motion: Sequence[float] | Array, sample_rate: float) -> Array:
+    """The motion with a peak of 1 and without what the table could not follow."""
+    record = Record("motion", 1 / sample_rate, np.asarray(motion, dtype=np.float64))
+    return prepare(record, sample_rate, Treatment(low_cut=0.3, peak_acceleration=1.0))
