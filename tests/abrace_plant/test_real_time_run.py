@@ -99,7 +99,8 @@ def test_a_rig_that_stood_still_has_missed_samples_and_goes_on_in_real_time(rig)
 class Scripted:
     """A device that does what its script says of each exchange, and keeps what it was sent."""
 
-    def __init__(self, fails) -> None:
+    def __init__(self, rig, fails) -> None:
+        self.rig = SimulatedRig(rig, 1, by_the_clock=False)
         self.fails, self.sent, self.safe, self.closed = fails, [], False, False
 
     def open(self) -> None:
@@ -111,7 +112,7 @@ class Scripted:
         error = self.fails(len(self.sent))
         if error is not None:
             raise error
-        return Reading(np.zeros(9), time.time_ns(), 0, 0)
+        return self.rig.exchange(command, table)._replace(stamp=time.time_ns())
 
     def make_safe(self) -> None:
         self.safe = True
@@ -121,7 +122,7 @@ class Scripted:
 
 
 def test_a_device_that_fails_is_a_fault_and_is_still_sent_the_way_to_rest(rig):
-    device = Scripted(lambda count: DeviceError("no packet for 10 ms") if 50 <= count < 400 else None)
+    device = Scripted(rig, lambda count: DeviceError("no packet for 10 ms") if 50 <= count < 400 else None)
     bench = Bench(rig, device)
     bench.until(lambda: len(bench.samples) >= 10)
     with bench.lock:
@@ -139,7 +140,7 @@ def test_a_device_that_fails_is_a_fault_and_is_still_sent_the_way_to_rest(rig):
 
 
 def test_an_error_in_the_run_makes_the_device_safe_and_is_told(rig):
-    device = Scripted(lambda count: ValueError("a mistake") if count == 20 else None)
+    device = Scripted(rig, lambda count: ValueError("a mistake") if count == 20 else None)
     bench = Bench(rig, device)
     assert bench.over.wait(20)
     assert str(bench.run.error) == "a mistake"

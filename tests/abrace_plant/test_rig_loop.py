@@ -70,7 +70,7 @@ def test_a_command_from_sample_k_is_in_force_until_sample_k_plus_2(bench):
 
 def test_readings_are_the_rigs_exact_motion_within_the_sensors_noise(rig, bench):
     random = np.random.default_rng(3)
-    forces, ground = random.normal(0, 500, 800), random.normal(0, 0.1, 800)
+    forces, ground = random.normal(0, 500, 800), random.normal(0, 0.03, 800)
     bench.drive(forces, ground)
     inputs = np.column_stack([[0, *ground[:-1]], [0, *forces[:-1]]])
     exact = np.column_stack([simulate(rig.discrete_model(), inputs), inputs[:, 0]])
@@ -183,18 +183,19 @@ def test_it_is_cleared_at_rest_alone_and_then_the_force_fades_in(bench):
     assert np.abs(np.diff(force)).max() < 8000.0 * np.pi / 2 / (RAMP_TIME * 500) * 1.02
 
 
-def reading(missed=0, late=False) -> Reading:
-    return Reading(np.zeros(9), 1, 0, missed, late)
+def reading(bench, missed=0, late=False) -> Reading:
+    """The device's next one, that many samples late."""
+    return bench.device.exchange([0.0], 0.0)._replace(missed=missed, late=late)
 
 
 def test_a_rig_that_was_held_up_is_a_fault_and_its_samples_are_missing(bench):
     bench.drive([0.0] * 5)
-    bench.loop.take(reading(1000, True))
+    bench.loop.take(reading(bench, 1000, True))
     assert not bench.safety.cause, "while nothing acts it harms nobody"
     bench.drive([500.0] * 2)
-    assert bench.loop.take(reading(LATE_LIMIT, True)).head.sequence == 1007 + LATE_LIMIT + 1
+    assert bench.loop.take(reading(bench, LATE_LIMIT, True)).head.sequence == 1007 + LATE_LIMIT + 1
     assert not bench.safety.cause
-    assert bench.loop.take(reading(LATE_LIMIT + 1, True)).head.flags == LATE | LOCKSTEP
+    assert bench.loop.take(reading(bench, LATE_LIMIT + 1, True)).head.flags == LATE | LOCKSTEP
     assert "held up: 11 samples missed before sample 1030" in bench.safety.cause
     assert bench.loop.missed == 1021
 
@@ -203,11 +204,11 @@ def test_samples_that_are_late_in_a_row_are_a_fault(bench):
     bench.drive([500.0] * 3)
     for _ in range(3):
         for _ in range(LATE_LIMIT):
-            bench.loop.take(reading(0, True))
+            bench.loop.take(reading(bench, 0, True))
         assert not bench.safety.cause
-        bench.loop.take(reading())
+        bench.loop.take(reading(bench))
     for _ in range(LATE_LIMIT + 1):
-        bench.loop.take(reading(0, True))
+        bench.loop.take(reading(bench, 0, True))
     assert "11 samples in a row were taken late" in bench.safety.cause
 
 

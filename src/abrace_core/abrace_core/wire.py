@@ -138,7 +138,8 @@ class Responses:
     ) -> bytes:
         """The message with the fields of Response, SI units; `stamp` [ns].
 
-        What follows `head` is as in Response.msg; the arrays' lengths stay those of the first call.
+        `cause`, `displacement`, `acceleration`, `stroke`, `force`, `command` and `ground_acceleration` are as in
+        Response.msg, `head` has the rest; the arrays' lengths stay those of the first call.
         """
         arrays = (displacement, acceleration, stroke, force, command)
         header = _pack_header(stamp, "table")

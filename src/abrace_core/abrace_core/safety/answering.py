@@ -125,7 +125,7 @@ class Answering:
         return now - self._last > RESPONSE_TIMEOUT
 
     def look_for_silence(self, now: float) -> None:
-        """A rig that sampled by the clock and has fallen silent is a fault."""
+        """A rig that sampled by the clock and has fallen silent is a fault; `now` as for `receive`."""
         if self._heard is not None and now - self._heard > RESPONSE_TIMEOUT:
             self._heard = None
             self.safety.fault(f"no response for more than {RESPONSE_TIMEOUT:g} s")

@@ -209,7 +209,7 @@ class RigSafety:
             self._faded = 0
 
     def configure(self, outputs: Sequence[Output], sample_period: float) -> None:
-        """Own these `outputs`, sampled with a period [s].
+        """Own these `outputs`, of a rig with this `sample_period` [s].
 
         Raises
         ------

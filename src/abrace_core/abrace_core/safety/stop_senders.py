@@ -33,7 +33,7 @@ class StopSenders:
         self._began = now
 
     def hear(self, sender: Hashable, name: str, pressed: bool, now: float) -> None:
-        """A `sender` of this `name` says whether its button is `pressed`."""
+        """A `sender` of this `name` says, at `now` [s], whether its button is `pressed`."""
         self._senders[sender] = _Sender(name, pressed, now)
 
     def name(self, sender: Hashable) -> str:
@@ -41,7 +41,7 @@ class StopSenders:
         return self._senders[sender].name if sender in self._senders else ""
 
     def who(self, now: float) -> str:
-        """Who asks for a stop; empty: nobody."""
+        """Who asks for a stop at `now` [s]; empty: nobody."""
         asking = [f"pressed by {one.name}" for one in self._senders.values() if one.pressed]
         if self._heartbeat:
             silent = [one.name for one in self._senders.values() if now - one.heard > self._heartbeat]
@@ -51,7 +51,7 @@ class StopSenders:
         return ", ".join(asking)
 
     def forget(self, gone: Iterable[Hashable], now: float) -> None:
-        """A person clears: senders that are gone, and can release nothing, do not count any more."""
+        """A person clears, at `now` [s]: senders that are `gone`, and can release nothing, do not count any more."""
         for sender in gone:
             self._senders.pop(sender, None)
         self._began = now

@@ -50,13 +50,13 @@ class TableGuard:
         self.limited = False
 
     def problem(self, command: Sequence[float]) -> str | None:
-        """Why an acceleration (1,) [m/s^2] cannot act; None: it can."""
+        """Why a `command` (1,), an acceleration [m/s^2], cannot act; None: it can."""
         if len(command) != 1 or not math.isfinite(command[0]):
             return f"ground acceleration {list(command)}, expected one finite number"
         return None
 
     def follow(self, command: Sequence[float] | None, share: float = 1.0) -> None:
-        """Take over a `share` of an acceleration that has no problem; None: of the last one."""
+        """Take over a `share` of a `command` (1,) [m/s^2] that has no problem; None: of the last one."""
         if command is not None:
             self._command = [float(command[0])]
         wanted, last = self._command[0] * share, self.value[0]

@@ -11,10 +11,13 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from abrace_core import signals
 from abrace_core.safety.command_guard import CommandGuard
 from abrace_core.safety.rig_safety import RAMP_TIME, RigSafety
 from abrace_core.safety.table_guard import TableGuard
 from abrace_core.wire import LAST, LATE, LOCKSTEP, RATE_LIMITED, SATURATED, STOP_PRESSED, TABLE_LIMITED, Head
+from abrace_plant.rig.interlocks import Interlocks
+from abrace_plant.rig.over_range import OverRange
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -130,6 +133,10 @@ class RigLoop:
         Number of the last sample; -1: none yet.
     late, missed
         Samples so far that were taken late, and that were missed.
+    interlocks
+        Of the rig.
+    clipped
+        By channel, readings so far at an end of its range.
     ending
         Whether the run ends, with the first sample at which all is at rest; set by whoever ends it.
     ended
@@ -152,6 +159,11 @@ class RigLoop:
         assert isinstance(braces, CommandGuard)
         assert isinstance(table, TableGuard)
         self._braces, self._table = braces, table
+        self.interlocks = Interlocks(rig)
+        self._over_range = OverRange(rig.sensors.channels(rig.floors, rig.groups))
+        self._names = (*signals.response_names(rig.floors, rig.groups), signals.GROUND)
+        self.clipped = dict.fromkeys(self._names, 0)
+        self._watched = safety.acting
         self._inputs = {COMMAND: _Input(COMMAND, timeout), GROUND: _Input(GROUND, timeout)}
         self._stamps: deque[tuple[int, int]] = deque(maxlen=timeout + 1)
         self._late_limit = late_limit
@@ -164,7 +176,7 @@ class RigLoop:
         self.ending = self.ended = False
 
     def receive_command(self, run: int, sequence: int, force: Sequence[float], fault: str) -> None:
-        """Accept a BraceCommand: `force` (groups,) [N] answers a sample, and `fault` is its sender's."""
+        """Accept a BraceCommand: `force` (groups,) [N] answers sample `sequence` of a `run`; `fault` is its sender's."""
         if run != self.run:
             self.old += 1
             return
@@ -210,15 +222,30 @@ class RigLoop:
         return self._braces.value, self._table.value[0]
 
     def take(self, reading: Reading) -> Sample:
-        """The sample that the device has given."""
+        """The sample that the device has given as a `reading`."""
         self.sequence += 1 + reading.missed
         self._stamps.append((reading.stamp, self.sequence))
         self.missed += reading.missed
         self.late += reading.late
         self._late_in_a_row = self._late_in_a_row + 1 if reading.late else 0
+        clipped = reading.clipped | self._over_range.check(reading.values)
+        if clipped:
+            for i, name in enumerate(self._names):
+                self.clipped[name] += clipped >> i & 1
+        self._look_at(reading, clipped)
         if any(any(output.value) for output in self._safety.outputs):
             self._look_for_delays(reading.missed)
-        return self._sample(reading)
+        return self._sample(reading, clipped)
+
+    def _look_at(self, reading: Reading, clipped: int) -> None:
+        """Ask the interlocks; what they find stops the rig, and is found anew after a person has cleared it."""
+        safety, table = self._safety, self._table.state
+        if safety.acting and not self._watched:
+            self.interlocks.reset()
+        self._watched = safety.acting
+        trip = self.interlocks.check(reading.values, self._until_now, table.velocity, table.displacement, clipped)
+        if trip is not None and safety.acting:
+            safety.fault(str(trip))
 
     def _look_for_delays(self, missed: int) -> None:
         """While something acts, a rig that is held up is a fault."""
@@ -227,7 +254,7 @@ class RigLoop:
         elif self._late_in_a_row > self._late_limit:
             self._safety.fault(f"{self._late_in_a_row} samples in a row were taken late, up to sample {self.sequence}")
 
-    def _sample(self, reading: Reading) -> Sample:
+    def _sample(self, reading: Reading, clipped: int) -> Sample:
         safety, flags = self._safety, self._flags
         if self._braces.saturated:
             flags |= SATURATED
@@ -242,7 +269,7 @@ class RigLoop:
         if self.ending and safety.at_rest:
             flags |= LAST
             self.ended = True
-        head = Head(self.run, self.sequence, reading.clipped, flags, safety.state)
+        head = Head(self.run, self.sequence, clipped, flags, safety.state)
         return Sample(reading.stamp, head, safety.cause, reading.values.tolist(), self._until_now)
 
     def step(self) -> Sample:
@@ -250,7 +277,7 @@ class RigLoop:
         return self.take(self._device.exchange(*self.act()))
 
     def fail(self, problem: str) -> None:
-        """The device has given no sample."""
+        """The device has given no sample, because of a `problem`."""
         self._safety.fault(problem)
         self.ended = self.ending and self._safety.at_rest
 

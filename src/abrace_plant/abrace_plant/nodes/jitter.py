@@ -70,9 +70,9 @@ class JitterNode(AbraceNode):
 
         def on_response(payload: bytes) -> None:
             received.append(time.monotonic_ns())
-            stamp, sequence, _ = responses.unpack(payload)
+            stamp, head, _ = responses.unpack(payload)
             stamps.append(stamp)
-            sequences.append(sequence)
+            sequences.append(head.sequence)
 
         subscription = self.create_subscription(Response, "response", on_response, KEPT_STREAM_QOS, raw=True)
         patience = self.parameters.patience

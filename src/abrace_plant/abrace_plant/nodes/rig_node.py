@@ -237,4 +237,11 @@ class RigNode(AbraceLifecycleNode):
             values["stop"] = self.safety.pressed
         if self.loop is not None:
             values |= {"sequence": self.loop.sequence, **self.loop.counters()}
+            values |= {f"clipped {name}": count for name, count in self.loop.clipped.items() if count}
+            values |= {
+                f"interlock {name}": f"{100 * share:.0f} % of its limit"
+                for name, share in self.loop.interlocks.utilisation().items()
+            }
+            if warnings := self.loop.interlocks.warnings:
+                values["warning"] = "; ".join(map(str, warnings))
         return fault, self.safety.state.words if self.active else "not active", values

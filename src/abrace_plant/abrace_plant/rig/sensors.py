@@ -173,13 +173,6 @@ class Measurement:
         self._last = reading
         return reading
 
-    def clipped(self, reading: NDArray[np.float64]) -> int:
-        """Bit i: channel i of a `reading` (channels,) is at the end of its range."""
-        ends = (reading >= self._most) | (reading <= -self._limit)
-        if not ends.any():
-            return 0
-        return sum(1 << i for i in np.flatnonzero(ends).tolist())
-
     def record(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Readings (samples, channels) of the true `values` (samples, channels) at the next samples, all at once."""
         readings = np.array(values, dtype=np.float64)
