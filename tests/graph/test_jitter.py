@@ -20,7 +20,7 @@ def test_a_rig_is_measured_beside_a_timer_and_an_echo(graph, tmp_path):
     graph.start("plant")
     graph.until(lambda: "plant" in graph.statuses, "the rig")
     ended = measure(graph, "duration:=0.5", f"output:={tmp_path}")
-    assert ended.returncode == 0, ended.stderr
+    assert (ended.returncode, ended.stderr) == (0, "")
     found = json.loads((tmp_path / "jitter.json").read_text())
     assert found["period"] == 0.002
     assert [found[name]["events"] for name in ("timer", "echo")] == [250, 250]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
+from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from std_msgs.msg import Int64
 
@@ -29,6 +31,9 @@ PARAMETERS = [
     Parameter("output", "results/jitter", "folder for jitter.json and jitter.png", required=True),
     *real_time.PARAMETERS,
 ]
+SETTLE = 0.5
+"""Seconds that are not measured after nodes have found each other: what was published meanwhile comes all at once, and
+the first message to a node may be held up."""
 ECHO = "import sys; from abrace_plant.nodes.jitter import answer; answer(*sys.argv[1:])"
 """The process of its own that answers."""
 
@@ -79,8 +84,7 @@ class JitterNode(AbraceNode):
         self.spin_until(lambda: received, time.monotonic() + patience)
         if not received:
             raise AbraceError(f"no sample on {subscription.topic_name} within {patience:g} s, expected a rig that runs")
-        # what was published during discovery comes all at once
-        self.spin_until(lambda: False, time.monotonic() + 0.5)
+        self.spin_until(lambda: False, time.monotonic() + SETTLE)
         for values in (received, stamps, sequences):
             values.clear()
         self.spin_until(lambda: False, time.monotonic() + self.parameters.duration)
@@ -102,7 +106,8 @@ class JitterNode(AbraceNode):
                     lambda: publisher.get_subscription_count() and subscription.get_publisher_count(), deadline
                 )
                 times = []
-                for number in range(max(1, round(self.parameters.duration / period))):
+                settling, count = (max(1, round(span / period)) for span in (SETTLE, self.parameters.duration))
+                for number in range(settling + count):
                     begin = time.perf_counter()
                     publisher.publish(Int64(data=number))
                     self.spin_until(
@@ -116,7 +121,7 @@ class JitterNode(AbraceNode):
                     time.sleep(max(0.0, period - taken))
             finally:
                 answering.terminate()
-        return Jitter(np.array(times))
+        return Jitter(np.array(times[settling:]))
 
 
 def answer(name: str) -> None:
@@ -127,8 +132,9 @@ def answer(name: str) -> None:
     node.create_subscription(Int64, f"{name}/asked", publisher.publish, KEPT_STREAM_QOS)
     executor = EventsExecutor()
     executor.add_node(node)
-    while rclpy.ok():
-        executor.spin_once(timeout_sec=0.1)
+    with contextlib.suppress(ExternalShutdownException):
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=0.1)
 
 
 def main() -> int:
