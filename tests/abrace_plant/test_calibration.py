@@ -10,6 +10,7 @@ from udp_target import CHANNELS, CONFIG, RIG, device_file
 
 from abrace_core.errors import AbraceError
 from abrace_plant.devices.calibration import Calibration, CalibrationFile, read_calibration, write_calibration, zeroed
+from abrace_plant.devices.device import DeviceError
 from abrace_plant.devices.file import load_device
 
 RATE = 500.0
@@ -45,7 +46,7 @@ def test_commands_become_volts_within_the_outputs_range():
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
 def test_a_command_that_is_not_finite_does_not_reach_a_device(wrong):
-    with pytest.raises(AbraceError, match=r"commands \[.*\], expected finite numbers"):
+    with pytest.raises(DeviceError, match=r"commands \[.*\], expected finite numbers"):
         Calibration(None, ("x1", "w"), ("U", "w"), RATE).outputs([wrong, 0.0])
 
 
