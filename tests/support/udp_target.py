@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 CONFIG = Path(__file__).parents[2] / "src/abrace_plant/config"
 RIG = load_rig(CONFIG / "ncree_three_storey.yaml")
-LAYOUT = CONFIG / "devices/layout.yaml"
+LAYOUT = CONFIG / "device_parts/udp_layout.yaml"
 CHANNELS = ("x1", "x2", "x3", "xf", "a1", "a2", "a3", "f", "w")
 PERIOD = round(1e9 / RIG.sample_rate)
 
@@ -38,7 +38,7 @@ def device_file(folder: Path, timeout: float = 1.0, calibrated: bool = False, la
     """A device file in `folder` with free ports and abrace's own layout, or another."""
     port, local_port = free_ports(2)
     path = folder / "device.yaml"
-    calibration = f"calibration: {CONFIG}/devices/calibration.yaml\n" if calibrated else ""
+    calibration = f"calibration: {CONFIG}/device_parts/calibration.yaml\n" if calibrated else ""
     path.write_text(
         f"kind: udp\naddress: 127.0.0.1\nport: {port}\nlocal_address: 127.0.0.1\nlocal_port: {local_port}\n"
         f"timeout: {timeout}\nlayout: {layout}\n{calibration}"
