@@ -11,6 +11,7 @@ setup(
         ("share/abrace_plant", ["package.xml"]),
         ("share/abrace_plant/config", sorted(glob("config/*.yaml"))),
         ("share/abrace_plant/config/devices", sorted(glob("config/devices/*.yaml"))),
+        ("share/abrace_plant/config/device_parts", sorted(glob("config/device_parts/*.yaml"))),
     ],
     zip_safe=True,
     maintainer="abrace developers",

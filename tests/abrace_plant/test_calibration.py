@@ -10,6 +10,7 @@ from udp_target import CHANNELS, CONFIG, RIG, device_file
 
 from abrace_core.errors import AbraceError
 from abrace_plant.devices.calibration import Calibration, CalibrationFile, read_calibration, write_calibration, zeroed
+from abrace_plant.devices.device import DeviceError
 from abrace_plant.devices.file import load_device
 
 RATE = 500.0
@@ -45,7 +46,7 @@ def test_commands_become_volts_within_the_outputs_range():
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
 def test_a_command_that_is_not_finite_does_not_reach_a_device(wrong):
-    with pytest.raises(AbraceError, match=r"commands \[.*\], expected finite numbers"):
+    with pytest.raises(DeviceError, match=r"commands \[.*\], expected finite numbers"):
         Calibration(None, ("x1", "w"), ("U", "w"), RATE).outputs([wrong, 0.0])
 
 
@@ -161,8 +162,8 @@ def test_zeroing_is_refused_without_readings_to_go_by(values):
 def test_a_calibration_file_that_is_wrong_is_refused_by_its_key(tmp_path, old, new, message):
     path = device_file(tmp_path, calibrated=True)
     wrong = tmp_path / "wrong.yaml"
-    wrong.write_text((CONFIG / "devices/calibration.yaml").read_text().replace(old, new, 1))
-    path.write_text(path.read_text().replace(f"{CONFIG}/devices/calibration.yaml", "wrong.yaml"))
+    wrong.write_text((CONFIG / "device_parts/calibration.yaml").read_text().replace(old, new, 1))
+    path.write_text(path.read_text().replace(f"{CONFIG}/device_parts/calibration.yaml", "wrong.yaml"))
     with pytest.raises(AbraceError) as refused:
         load_device(path, RIG)
     assert str(refused.value).startswith(f"calibration file {wrong}: ")
@@ -170,6 +171,6 @@ def test_a_calibration_file_that_is_wrong_is_refused_by_its_key(tmp_path, old, n
 
 
 def test_the_calibration_of_the_papers_rig_has_the_ranges_of_its_sensors():
-    found = Calibration(read_calibration(CONFIG / "devices/calibration.yaml"), CHANNELS, ("U", "w"), RATE)
+    found = Calibration(read_calibration(CONFIG / "device_parts/calibration.yaml"), CHANNELS, ("U", "w"), RATE)
     sensors = RIG.sensors.channels(RIG.floors, RIG.groups)
     np.testing.assert_allclose(found.range, [sensor.range for sensor in sensors], rtol=1e-12)

@@ -1,5 +1,6 @@
 """Device files: the kinds that there are, a laboratory's own by its entry point, and the examples of the docs."""
 
+import dataclasses
 import sys
 import types
 from pathlib import Path
@@ -11,13 +12,16 @@ from udp_target import CONFIG, RIG
 from abrace_core.errors import AbraceError
 from abrace_plant.devices.device import Device, DeviceError
 from abrace_plant.devices.file import load_device
+from abrace_plant.devices.modbus import ModbusDevice
 from abrace_plant.devices.udp import UdpDevice
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def test_the_kind_udp_is_abraces_own():
-    assert isinstance(load_device(CONFIG / "devices/emulator.yaml", RIG), UdpDevice)
+def test_every_device_of_the_configuration_is_one_for_the_papers_rig():
+    slow = dataclasses.replace(RIG, sample_rate=250.0)
+    found = {path.stem: type(load_device(path, slow)) for path in (CONFIG / "devices").glob("*.yaml")}
+    assert found == {"emulator": UdpDevice, "labjack_t7": ModbusDevice}
 
 
 @pytest.mark.usefixtures("laboratory")
@@ -96,7 +100,7 @@ def card(tmp_path, monkeypatch):
     text = (DOCS / "bridge.md").read_text().partition("    kind: ni_daqmx\n")
     path = tmp_path / "device.yaml"
     lines = [line.strip() for line in (text[1] + text[2]).partition("\n\n")[0].splitlines()]
-    path.write_text("\n".join(lines).replace("calibration.yaml", str(CONFIG / "devices/calibration.yaml")))
+    path.write_text("\n".join(lines).replace("calibration.yaml", str(CONFIG / "device_parts/calibration.yaml")))
     return load_device(path, RIG)
 
 

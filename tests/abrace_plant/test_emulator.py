@@ -85,6 +85,19 @@ def test_while_the_target_hangs_its_outputs_hold_and_the_rig_goes_on():
     assert reading[CHANNELS.index("f")] == pytest.approx(10e3, rel=0.1)
 
 
+def test_a_ramp_in_which_the_target_hangs_goes_on_afterwards_without_a_step():
+    target = following(10e3, 0.0)
+    target.stop()
+    steps = target.worst_step = 0.0
+    for k in range(100):
+        if k == 20:
+            target.hold(200)
+        target.step()
+        steps += target.worst_step > np.pi / 2 * 10e3 * target.period / RAMP_TIME * 1.01
+    assert steps == 0
+    assert not target._acting.any()
+
+
 def test_the_greatest_step_that_reached_the_actuators_is_kept():
     target = following(0.0, 0.0)
     target.command(np.array([3e3, 0.7]), enabled=True)
@@ -190,9 +203,10 @@ def test_the_program_is_a_rig_with_faults_on_demand_and_stops_by_itself(tmp_path
 
         assert json.loads(ask(control, "report"))["stops"] == 0
         deadline = time.monotonic() + 10
-        while (report := json.loads(ask(control, "report")))["following"] and time.monotonic() < deadline:
+        while not (report := json.loads(ask(control, "report")))["worst_seconds_to_zero"]:
+            assert time.monotonic() < deadline, f"the commands stopped, and the target went on: {report}"
             time.sleep(0.01)
-        assert report["stops"] == 1, "the commands stopped, and the target went on"
+        assert report["stops"] == 1
 
         assert ask(control, "freeze=0.8") == "ok"
         with pytest.raises(DeviceError, match="no sample for 500 ms"):
@@ -207,6 +221,7 @@ def test_the_program_is_a_rig_with_faults_on_demand_and_stops_by_itself(tmp_path
     assert log["worst_force"] == pytest.approx(4e3)
     assert log["worst_step_over_rate_limit"] < 0.5
     assert log["stops"] == 1
+    assert 0.1 < log["worst_seconds_to_zero"] < 0.3
 
 
 def test_the_program_needs_no_ros_and_says_what_is_wrong_in_one_line():

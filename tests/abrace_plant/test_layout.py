@@ -82,7 +82,7 @@ def test_whole_numbers_are_rounded_and_end_where_their_type_ends():
 
 
 def ours() -> Packet:
-    return Packet(read_layout(CONFIG / "devices/layout.yaml"), "sample", CHANNELS)
+    return Packet(read_layout(CONFIG / "device_parts/udp_layout.yaml"), "sample", CHANNELS)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])

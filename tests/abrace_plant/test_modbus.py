@@ -17,7 +17,7 @@ from abrace_plant.devices.registers import Block, Register
 from abrace_plant.emulator.emulator import Emulator
 
 SLOW = dataclasses.replace(RIG, sample_rate=100.0)
-MAP = CONFIG / "devices/labjack_t7.yaml"
+MAP = CONFIG / "device_parts/labjack_t7_registers.yaml"
 
 
 def device_file(folder, **changes):
@@ -26,7 +26,7 @@ def device_file(folder, **changes):
         port = free.getsockname()[1]
     path = folder / "t7.yaml"
     lines = {"kind": "modbus", "address": "127.0.0.1", "port": port, "registers": MAP, "timeout": 0.5}
-    lines["calibration"] = CONFIG / "devices/labjack_t7_calibration.yaml"
+    lines["calibration"] = CONFIG / "device_parts/labjack_t7_calibration.yaml"
     path.write_text("".join(f"{key}: {value}\n" for key, value in (lines | changes).items()))
     return path
 

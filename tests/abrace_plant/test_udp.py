@@ -10,7 +10,7 @@ import pytest
 from bridge_endurance import bridge_endurance
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from udp_target import CHANNELS, CONFIG, KINDS, PERIOD, RIG, UdpTarget, device_file, malformed, values_of
+from udp_target import CHANNELS, KINDS, LAYOUT, PERIOD, RIG, UdpTarget, device_file, free_ports, malformed, values_of
 
 from abrace_core.errors import AbraceError
 from abrace_plant.devices.device import DeviceError
@@ -261,10 +261,9 @@ def test_a_layout_for_another_rig_is_refused_by_its_file(tmp_path):
 
 
 def test_a_time_too_coarse_to_tell_ticks_apart_is_refused(tmp_path):
-    path = device_file(tmp_path)
     layout = tmp_path / "coarse.yaml"
-    layout.write_text((CONFIG / "devices/layout.yaml").read_text().replace("unit: ns}", "unit: ms}", 1))
-    path.write_text(path.read_text().replace(f"{CONFIG}/devices/layout.yaml", "coarse.yaml"))
+    layout.write_text(LAYOUT.read_text().replace("unit: ns}", "unit: ms}", 1))
+    path = device_file(tmp_path, layout=layout)
     with pytest.raises(AbraceError, match=f"layout file {layout}: time in steps of 1 ms, expected a unit that tells"):
         load(path, RIG)
 
@@ -278,3 +277,46 @@ def test_a_target_at_another_rate_is_an_error_of_open_that_says_what_was_expecte
         with pytest.raises(DeviceError, match=r"dropped: 20 not consecutive \(packets of 96 bytes, 2 ms apart, were"):
             target.device.open()
         sender.join()
+
+
+def test_the_stamp_of_a_target_that_keeps_the_wall_clock_is_its_own(tmp_path):
+    layout = tmp_path / "wall.yaml"
+    layout.write_text(LAYOUT.read_text().replace("unit: ns}", "unit: ns, clock: wall}", 1))
+    with UdpTarget(device_file(tmp_path, layout=layout)) as target:
+        began = time.time_ns()
+        target.sample = lambda counter, sample=target.sample: sample(counter, time=began + (counter - 1000) * PERIOD)
+        target.open()
+        expected = began + (target.tick() - 1000) * PERIOD
+        assert target.device.exchange([0.0], 0.0).stamp == expected
+
+
+def test_a_target_without_a_time_is_stamped_by_its_ticks(tmp_path):
+    layout = tmp_path / "timeless.yaml"
+    lines = [line for line in LAYOUT.read_text().splitlines() if "field: time" not in line]
+    layout.write_text("\n".join(lines))
+    with UdpTarget(device_file(tmp_path, layout=layout)) as target:
+        target.open()
+        stamps = []
+        for _ in range(5):
+            target.counter += 1
+            target.tick()
+            reading = target.device.exchange([0.0], 0.0)
+            stamps.append(reading.stamp)
+            assert reading.missed == 1
+            time.sleep(0.001)
+        assert (np.diff(stamps) > 0).all()
+        assert stamps[-1] <= time.time_ns()
+
+
+def test_samples_may_come_from_another_port_than_commands_go_to(tmp_path):
+    path = device_file(tmp_path)
+    path.write_text(path.read_text() + f"source_port: {free_ports(1)[0]}\n")
+    with UdpTarget(path) as target, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as commands:
+        commands.bind(("127.0.0.1", target.device.file.port))
+        commands.settimeout(5.0)
+        target.open()
+        target.tick()
+        target.device.exchange([7.0], 0.0)
+        while (command := target.commands.decode(commands.recv(1024))).signals[0] != 7.0:
+            pass
+        assert command.enabled

@@ -44,7 +44,8 @@ def test_the_hardware_is_read_at_rest_and_the_channel_that_fails_is_named(hardwa
     ("given", "message"),
     [
         ({}, "parameters device, bag: expected one of them"),
-        ({"device": "none.yaml"}, "device file none.yaml: No such file or directory"),
+        ({"device": "none"}, "device 'none': unknown, expected a file ending in .yaml or one of emulator, labjack_t7"),
+        ({"device": "none.yaml"}, "device file none.yaml: no such file"),
     ],
 )
 def test_without_anything_to_read_it_says_so_in_one_line(given, message):

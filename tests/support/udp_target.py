@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 CONFIG = Path(__file__).parents[2] / "src/abrace_plant/config"
 RIG = load_rig(CONFIG / "ncree_three_storey.yaml")
+LAYOUT = CONFIG / "device_parts/udp_layout.yaml"
 CHANNELS = ("x1", "x2", "x3", "xf", "a1", "a2", "a3", "f", "w")
 PERIOD = round(1e9 / RIG.sample_rate)
 
@@ -33,14 +34,14 @@ def free_ports(count: int) -> list[int]:
     return ports
 
 
-def device_file(folder: Path, timeout: float = 1.0, calibrated: bool = False) -> Path:
-    """A device file in `folder` with free ports and abrace's own layout."""
+def device_file(folder: Path, timeout: float = 1.0, calibrated: bool = False, layout: Path = LAYOUT) -> Path:
+    """A device file in `folder` with free ports and abrace's own layout, or another."""
     port, local_port = free_ports(2)
     path = folder / "device.yaml"
-    calibration = f"calibration: {CONFIG}/devices/calibration.yaml\n" if calibrated else ""
+    calibration = f"calibration: {CONFIG}/device_parts/calibration.yaml\n" if calibrated else ""
     path.write_text(
         f"kind: udp\naddress: 127.0.0.1\nport: {port}\nlocal_address: 127.0.0.1\nlocal_port: {local_port}\n"
-        f"timeout: {timeout}\nlayout: {CONFIG}/devices/layout.yaml\n{calibration}"
+        f"timeout: {timeout}\nlayout: {layout}\n{calibration}"
     )
     return path
 
@@ -56,10 +57,10 @@ class UdpTarget:
     def __init__(self, path: Path) -> None:
         self.device = self.device_of(path)
         file = self.device.file
-        layout = read_layout(CONFIG / "devices/layout.yaml")
+        layout = read_layout(path.parent / file.layout)
         self.samples, self.commands = Packet(layout, "sample", CHANNELS), Packet(layout, "command", ("U", "w"))
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind((str(file.address), file.port))
+        self.socket.bind(file.sender)
         self.socket.settimeout(5.0)
         self.to = "127.0.0.1", file.local_port
         self.counter = 1000

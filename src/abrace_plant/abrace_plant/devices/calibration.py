@@ -21,6 +21,7 @@ from abrace_core import signals
 from abrace_core.config_file import Checked, read_config
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
+from abrace_plant.devices.device import DeviceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -174,11 +175,11 @@ class Calibration:
 
         Raises
         ------
-        AbraceError
+        DeviceError
             If one is not finite: that must not reach a device.
         """
         if not math.isfinite(sum(values)):
-            raise AbraceError(f"commands {list(values)}, expected finite numbers")
+            raise DeviceError(f"commands {list(values)}, expected finite numbers")
         raw = np.asarray(values) / self._command_scale + self._command_offset
         found: list[float] = np.clip(raw, self._command_low, self._command_high).tolist()
         return found

@@ -141,7 +141,7 @@ class UdpDevice:
         self.dropped: Counter[str] = Counter()
         self.file = file
         self._name = f"udp device {file.address}:{file.port}"
-        self._sender = file.sender
+        self._sender, self._to = file.sender, (str(file.address), file.port)
         self._samples, self._commands = samples, commands
         self._echo = min(commands.modulus, samples.answered_modulus)
         self._still = [0.0] * calibration.commands
@@ -256,7 +256,7 @@ class UdpDevice:
         self._counter += 1
         packet = self._commands.encode(outputs, self._counter, time.time_ns(), enable=enable)
         try:
-            self._socket.sendto(packet, (str(self.file.address), self.file.port))
+            self._socket.sendto(packet, self._to)
         except BlockingIOError:
             self.dropped["not_sent"] += 1
         except OSError as error:

@@ -128,6 +128,7 @@ class Target:
         """Let the rig go on for so many `ticks` that the target misses: its outputs stay as they are, unguarded."""
         for _ in range(ticks):
             self.tick += 1
+            self._stopped_at += 1
             self._move()
 
     def step(self) -> NDArray[np.float64]:

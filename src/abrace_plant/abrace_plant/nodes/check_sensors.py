@@ -21,7 +21,11 @@ from abrace_plant.rig.model import Rig
 
 PARAMETERS = [
     Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
-    Parameter("device", "", "device file: reads the hardware, with zero force and the table at rest"),
+    Parameter(
+        "device",
+        "",
+        "device: a name in the package's configuration or a file; read with zero force and the table at rest",
+    ),
     Parameter("bag", "", "bag with the rig's response, instead of the hardware"),
     Parameter("duration", 10.0, "seconds of the hardware's readings", minimum=1.0),
     Parameter("output", "", "JSON file of what is printed; empty: none"),
@@ -45,7 +49,7 @@ class CheckSensors(AbraceNode):
             recorded = read_run(given.bag)
             readings = np.column_stack([recorded.outputs, recorded.ground_acceleration])
         else:
-            device = load_device(given.device, rig)
+            device = load_device(find_file(given.device, "abrace_plant", "config/devices", ".yaml", "device"), rig)
             ranges = getattr(getattr(device, "calibration", None), "range", None)
             readings = read_at_rest(device, rig, round(given.duration * rig.sample_rate))
         found = check_sensors(rig, readings, ranges)
