@@ -188,7 +188,7 @@ def test_a_command_above_the_capacity_is_cut_to_it(bench):
 
 
 def test_a_command_within_the_limits_acts_bit_for_bit(bench):
-    wanted = np.random.default_rng(3).uniform(-4000, 4000, 50)
+    wanted = np.random.default_rng(3).uniform(-800, 800, 50)
     bench.hand.answer(*([force] for force in wanted))
     bench.hand.hold(0.0, 1)
     np.testing.assert_array_equal(bench.hand.commands[-50:], wanted)

@@ -40,7 +40,7 @@ def test_a_rig_that_runs_elsewhere_is_joined_when_it_is_recorded_and_a_broken_of
     assert graph.ended("supervisor") == 1
     last = graph.output_of("supervisor")[-1]
     assert "ground_motion: cancelled after" in last
-    assert "emergency stop" in last
+    assert f"protective stop: pressed by {graph.namespace}/test" in last
     assert graph.state("ground_motion") == "inactive"
     assert graph.stop("logger") == 0
     assert np.abs(read_run(bag).ground_acceleration[:3]).max() < 0.002, "recorded from before the motion on"
