@@ -37,6 +37,8 @@ ros2_ws/install/.built: .venv/.installed $(BUILT_FROM) | same-ros
 	fi
 	cd ros2_ws
 	echo "abrace: building the workspace"
+	# links to files that an older version had
+	[ ! -d build ] || find build install -xtype l -delete
 	python -m colcon --log-level error build --symlink-install --event-handlers console_cohesion- console_start_end- desktop_notification-
 	touch install/.built
 
