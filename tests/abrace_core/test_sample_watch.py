@@ -53,7 +53,7 @@ def test_how_many_may_be_lost_can_be_told(gap):
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_another_sample_rate_is_a_problem_within_0_1_s(watch, factor):
     problems = []
-    for k in range(1, 51):
+    for k in range(1, 52):
         watch.update(RUN, 10 + k, 10 * PERIOD + round(factor * k * PERIOD))
         problems.append(watch.problem)
     assert "expected 2 ms (sample rate)" in problems[-1]

@@ -2,12 +2,12 @@
 
 import json
 import shutil
-import struct
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated_loop import RUN, simulated_loop
 
 from abrace.processes.group import find_executable
 from abrace_bags import BagWriter, message_definition
@@ -15,40 +15,36 @@ from abrace_core.controller_file import load_controller
 from abrace_core.linear_model import load_model, pole_table
 from abrace_core.node import find_file
 from abrace_core.noise import banded_noise
+from abrace_core.table_signals import table_noise
 from abrace_core.wire import Responses
-from abrace_plant.live.loop import RigLoop
 from abrace_plant.rig.file import load_rig
 
 SECONDS = 80.0
 
 
 def write_bag(
-    path: Path, ground: np.ndarray, command: np.ndarray, lost: range = range(0), clipped: range | None = None
+    path: Path, ground: np.ndarray, command: np.ndarray, lost: range = range(0), clipped: range = range(0)
 ) -> Path:
     """A bag of the rig's responses to a ground acceleration and a command that answer sample after sample.
 
     With `clipped` they say which channels are at the end of their range: a2 in these samples.
     """
     rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
-    loop = RigLoop(rig, 3, 0.02)
+    loop = simulated_loop(rig, 3)
     definition = message_definition("abrace_interfaces/msg/Response")
     with BagWriter(path, {"sample_period": "0.002", "rig": rig.name}) as bag:
-        text = definition.text
-        if clipped is not None:
-            text = text.replace("\n=", "\nuint64 clipped\n=", 1)
-        topic = bag.add_topic("/response", definition.type_name, text, definition.type_hash)
+        topic = bag.add_topic("/response", definition.type_name, definition.text, definition.type_hash)
         packed = Responses()
         for k in range(len(ground)):
-            sample = loop.sample()
+            sample = loop.step()
             z = sample.reading
             time = 2_000_000 * k
-            payload = packed.pack(time, k, z[:3], z[4:7], z[3:4], z[7:8], sample.command, float(z[8]))
-            if clipped is not None:
-                payload += struct.pack("<Q", (k in clipped) << 5)
+            head = sample.head._replace(clipped=(k in clipped) << 5)
+            payload = packed.pack(time, head, "", z[:3], z[4:7], z[3:4], z[7:8], sample.command, z[8])
             if k not in lost:
                 bag.write(topic, payload, time, time)
-            loop.receive_ground_acceleration(k, float(ground[k]))
-            loop.receive_command(k, np.array([command[k]]))
+            loop.receive_ground_acceleration(sample.stamp, float(ground[k]))
+            loop.receive_command(RUN, k, [command[k]], "")
     return path
 
 
@@ -56,7 +52,7 @@ def write_bag(
 def bags(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("bags")
     samples = round(SECONDS * 500)
-    shaken = banded_noise(samples, 500.0, (0.0, 10.0), 0.25, 1)
+    shaken = table_noise(samples, 500.0, (0.1, 10.0), 0.25, 1)
     pushed = banded_noise(samples, 500.0, (0.0, 30.0), 1800.0, 2)
     rest = np.zeros(samples)
     return {
@@ -64,7 +60,7 @@ def bags(tmp_path_factory) -> dict[str, Path]:
         "command": write_bag(folder / "command", rest, pushed),
         "gap": write_bag(folder / "gap", shaken, rest, range(6000, 6025)),
         "check": write_bag(
-            folder / "check", banded_noise(5000, 500.0, (0.0, 10.0), 0.2, 5), np.zeros(5000), clipped=range(700, 714)
+            folder / "check", table_noise(5000, 500.0, (0.1, 10.0), 0.2, 5), np.zeros(5000), clipped=range(700, 714)
         ),
     }
 

@@ -6,6 +6,7 @@ same, with the delays of an ordinary process.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import resource
@@ -76,6 +77,15 @@ def _lock_memory(warn: Callable[[str], object]) -> None:
     unlimited = rights & _CAP_IPC_LOCK or resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
     if not unlimited or ctypes.CDLL(None).mlockall(_MCL_CURRENT | _MCL_FUTURE):
         warn(f"lock_memory is not allowed, samples may be late; {_LIMITS.format(limit='memlock unlimited')}")
+
+
+def as_the_loop(given: Any) -> None:
+    """Make the calling thread one like the loop's, as the parameters in `given` ask; what is not allowed is left."""
+    if given.cpu_affinity:
+        os.sched_setaffinity(0, given.cpu_affinity)
+    if given.thread_priority:
+        with contextlib.suppress(PermissionError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(given.thread_priority))
 
 
 def beside_the_loop(processors: set[int]) -> None:

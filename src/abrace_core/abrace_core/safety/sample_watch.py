@@ -42,7 +42,7 @@ class SampleWatch:
         self._longest_gap = longest_gap
         self._period = sample_period * 1e9
         self._earlier: deque[int] = deque(maxlen=_KEPT_RUNS)
-        self._rate_from = 0, 0
+        self._rate_from: tuple[int, int] | None = None
         self.run = self.sequence = -1
         self.missing = self.old = 0
         self.problem: str | None = None
@@ -71,7 +71,7 @@ class SampleWatch:
             if self.run >= 0:
                 self._earlier.append(self.run)
             self.run, self.sequence, self.problem = run, sequence, None
-            self._rate_from = sequence, stamp
+            self._rate_from = None
             return NEW_RUN
         if sequence <= self.sequence:
             self.old += 1
@@ -82,7 +82,8 @@ class SampleWatch:
         self.problem = None
         if lost > self._longest_gap:
             self.problem = f"{lost} samples lost before sample {sequence}, at most {self._longest_gap} can be bridged"
-        first, since = self._rate_from
+        # from the second sample on: a rig may take its time between the first ones
+        first, since = self._rate_from = self._rate_from or (sequence, stamp)
         if sequence - first >= _RATE_SAMPLES:
             period = (stamp - since) / (sequence - first)
             self._rate_from = sequence, stamp

@@ -80,6 +80,9 @@ class SimulatedRig:
         missed = late = 0
         stamp = round(self._samples * self._period * 1e9)
         if self._by_the_clock:
+            if self._samples == 1:
+                # the middleware takes its time for the first sample; the second one is due a period after that
+                self._start = time.monotonic()
             delay = self._start + self._samples * self._period - time.monotonic()
             if delay > 0:
                 time.sleep(delay)

@@ -176,7 +176,7 @@ class RigLoop:
         self.ending = self.ended = False
 
     def receive_command(self, run: int, sequence: int, force: Sequence[float], fault: str) -> None:
-        """Accept a BraceCommand: `force` (groups,) [N] answers sample `sequence` of a `run`; `fault` is its sender's."""
+        """Accept a BraceCommand: `force` (groups,) [N] answers sample `sequence` of a `run`; `fault`: its sender's."""
         if run != self.run:
             self.old += 1
             return
@@ -266,7 +266,7 @@ class RigLoop:
             flags |= STOP_PRESSED
         if reading.late:
             flags |= LATE
-        if self.ending and safety.at_rest:
+        if self.ending and safety.at_rest and not any(self._until_now):
             flags |= LAST
             self.ended = True
         head = Head(self.run, self.sequence, clipped, flags, safety.state)

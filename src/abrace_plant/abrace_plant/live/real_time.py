@@ -72,10 +72,11 @@ class RealTimeRun(threading.Thread):
 
     def _run(self) -> None:
         loop, period, monotonic = self._loop, self._period, time.monotonic
-        last, samples = monotonic(), 1
+        last, samples, late = monotonic(), 1, False
         while not loop.ended:
             with self._answered:
-                self._answered.wait_for(loop.all_answered, last + ANSWER_SHARE * period - monotonic())
+                if not late:
+                    self._answered.wait_for(loop.all_answered, last + ANSWER_SHARE * period - monotonic())
                 force, table = loop.act(samples)
             try:
                 reading = self._device.exchange(force, table)
@@ -85,6 +86,6 @@ class RealTimeRun(threading.Thread):
                 with self._answered:
                     loop.fail(str(error))
                 continue
-            last, samples = monotonic(), 1 + reading.missed
+            last, samples, late = monotonic(), 1 + reading.missed, reading.late
             with self._answered:
                 self._publish(loop.take(reading))

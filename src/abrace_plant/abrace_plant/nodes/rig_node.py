@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from abrace_core.errors import AbraceError
-from abrace_core.node import AbraceLifecycleNode, Parameter, find_file
+from abrace_core.node import AbraceLifecycleNode, Parameter, find_file, real_time
 from abrace_core.node.conventions import DISPLAY_PERIOD, KEPT_STREAM_QOS, STREAM_QOS, TRANSIENT_LOCAL_QOS, clearing
 from abrace_core.node.stop_listener import StopListener
 from abrace_core.safety.rig_safety import RigSafety
@@ -112,6 +112,7 @@ class RigNode(AbraceLifecycleNode):
 
     def prepare(self) -> None:
         """Called in the thread of a run by the clock before its first sample."""
+        real_time.as_the_loop(self.parameters)
 
     def come_to_rest(self) -> None:
         """Bring braces and table to rest; the run ends with the first sample at which they are."""

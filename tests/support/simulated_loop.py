@@ -1,0 +1,24 @@
+"""The simulated rig in lockstep, without ROS: a loop that is active and at rest."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from abrace_core.safety.rig_safety import RigSafety
+from abrace_plant.devices.simulated import SimulatedRig
+from abrace_plant.live.loop import RigLoop, rig_outputs
+
+if TYPE_CHECKING:
+    from abrace_plant.rig.model import Rig
+
+RUN = 1
+"""Number of its run."""
+
+
+def simulated_loop(rig: Rig, seed: int) -> RigLoop:
+    """The loop of a rig, with the seed of its sensors' noise."""
+    safety = RigSafety()
+    safety.configure(rig_outputs(rig), 1 / rig.sample_rate)
+    safety.activate()
+    device = SimulatedRig(rig, seed, by_the_clock=False)
+    return RigLoop(rig, device, safety, 0.02, 10, RUN, lockstep=True)
