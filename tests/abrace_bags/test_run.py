@@ -31,7 +31,8 @@ def response(k: int, floors: int = 2, groups: int = 2) -> Any:
     time = TYPES["builtin_interfaces/msg/Time"](sec=5 + k * STEP // 10**9, nanosec=k * STEP % 10**9)
     header = TYPES["std_msgs/msg/Header"](stamp=time, frame_id="table")
     floor, group = np.arange(floors), np.arange(groups)
-    return TYPES[RESPONSE](header, k, 10 + floor + x, 20 + floor + x, 30 + group + x, 40 + group + x, 50 + group + x, x)
+    channels = (10 + floor + x, 20 + floor + x, 30 + group + x, 40 + group + x, 50 + group + x)
+    return TYPES[RESPONSE](header, 1, k, 0, 0, 3, *channels, x, "")
 
 
 def write(

@@ -48,7 +48,7 @@ def read_run(bag: Path | str, topic: str | None = None) -> Run:
 
 
 def read_runs(bag: Path | str, topic: str | None = None) -> list[Run]:
-    """Read the recorded tests of the rig from a bag: where numbers do not rise, the rig was activated again.
+    """Read the recorded tests of the rig from a bag: a new run begins where the rig was activated again.
 
     `bag`, `topic` and what is raised are as for `read_run`, but samples may be missing: each run has those of the bag,
     with their numbers.
@@ -86,7 +86,10 @@ def _parts(response: TopicArrays, whole: bool) -> list[TopicArrays]:
     sequence = response.fields["sequence"]
     if whole:
         _check_sequence(sequence)
-    restarts = np.flatnonzero(sequence[1:] <= sequence[:-1]) + 1
+    again = sequence[1:] <= sequence[:-1]
+    if "run" in response.fields:
+        again |= np.diff(response.fields["run"]) != 0
+    restarts = np.flatnonzero(again) + 1
     bounds = [0, *restarts.tolist(), sequence.size]
     return [
         TopicArrays(
@@ -138,7 +141,10 @@ def _finite(name: str, values: NDArray[np.float64], sequence: NDArray[np.uint64]
 
 
 def _sample_period(response: TopicArrays, facts: dict[str, Any]) -> float:
-    """Seconds: as the facts say, else the median step of the stamps."""
+    """Seconds: as the facts say, else as the stamps have it, which are when samples were really taken.
+
+    Then it is a whole number of samples a second, if one lies within the jitter of the stamps.
+    """
     if "sample_period" in facts:
         try:
             period = float(facts["sample_period"])
@@ -148,8 +154,15 @@ def _sample_period(response: TopicArrays, facts: dict[str, Any]) -> float:
             raise AbraceError(f"fact sample_period is {facts['sample_period']!r}, expected seconds above 0")
         return period
     seconds, nanoseconds = response.fields["header.stamp.sec"], response.fields["header.stamp.nanosec"]
-    steps = np.diff(seconds.astype(np.int64) * 1_000_000_000 + nanoseconds)
-    period = float(np.median(steps)) * 1e-9 if steps.size else 0.0
-    if period <= 0.0:
+    stamps = seconds.astype(np.int64) * 1_000_000_000 + nanoseconds
+    # the middle half: at the beginning a rig may take its time
+    middle = slice(stamps.size // 4, stamps.size - stamps.size // 4)
+    numbers = response.fields["sequence"][middle].astype(np.int64)
+    times = (stamps[middle] - stamps[0]) * 1e-9
+    numbers, times = numbers - numbers[:1], times - times[:1]
+    if numbers.size < 2 or times[-1] <= 0.0 or numbers[-1] <= 0:
         raise AbraceError("its stamps don't count up and the facts have no sample_period")
-    return period
+    period = float(times[-1] / numbers[-1])
+    jitter = float(np.abs(times - numbers * period).max() / times[-1])
+    rate = round(1 / period)
+    return 1 / rate if rate and abs(rate * period - 1) <= 2 * jitter + 1e-9 else period
