@@ -38,7 +38,9 @@ from abrace_bags import read_run
 from abrace_core.controller_file import save_controller
 from abrace_core.files import write_text
 from abrace_core.node import find_file
-from abrace_plant.live.loop import RigLoop
+from abrace_core.safety.rig_safety import RigSafety
+from abrace_plant.devices.simulated import SimulatedRig
+from abrace_plant.live.loop import RigLoop, rig_outputs
 from abrace_plant.rig.file import load_rig
 
 HERE = Path(__file__).parent.resolve()
@@ -81,13 +83,20 @@ def plant_step() -> float:
     """Microseconds of a sample of a rig of 26 states, at its capacity and with sensor noise."""
     rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
     modes = tuple(replace(rig.local_modes[2], frequency=150.0 + 10 * number) for number in range(6))
-    loop = RigLoop(replace(rig, local_modes=rig.local_modes + modes), 1, 0.02)
+    warned = {name: replace(one, action="warn") for name, one in rig.interlocks.items()}
+    rig = replace(rig, local_modes=rig.local_modes + modes, interlocks=warned)
+    safety = RigSafety()
+    safety.configure(rig_outputs(rig), 1 / rig.sample_rate)
+    safety.activate()
+    loop = RigLoop(rig, SimulatedRig(rig, 1, by_the_clock=False), safety, 0.02, 10, 1, lockstep=True)
     forces = 1.2 * rig.capacity[0] * np.sin(0.05 * np.arange(PLANT_STEPS))
     begin = time.perf_counter()
     for sequence, force in enumerate(forces.tolist()):
-        loop.sample()
-        loop.receive_command(sequence, [force])
-    return 1e6 * (time.perf_counter() - begin) / PLANT_STEPS
+        loop.step()
+        loop.receive_command(1, sequence, [force], "")
+    took = time.perf_counter() - begin
+    assert safety.acting, safety.cause
+    return 1e6 * took / PLANT_STEPS
 
 
 def reading(bag: Path) -> dict[str, Any]:

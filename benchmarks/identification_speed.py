@@ -86,7 +86,8 @@ def best_of(repeats: int, run: Callable[[], object], warm: bool = True) -> float
 def write_bag(bag: Path, run: Run, rig: str) -> None:
     """The test as the logger would have written it."""
     from abrace_bags import BagWriter, message_definition
-    from abrace_core.wire import Responses
+    from abrace_core.safety.rig_safety import State
+    from abrace_core.wire import Head, Responses
 
     floors, groups = run.floors, run.groups
     definition, responses = message_definition("abrace_interfaces/msg/Response"), Responses()
@@ -99,7 +100,8 @@ def write_bag(bag: Path, run: Run, rig: str) -> None:
             stamp, stroke, acceleration = sequence * period, outputs[floors:], outputs[floors + groups :]
             payload = responses.pack(
                 stamp,
-                sequence,
+                Head(1, sequence, 0, 0, State.RUNNING),
+                "",
                 outputs[:floors],
                 acceleration[:floors],
                 stroke[:groups],

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from abrace_core import signals
 from abrace_core.controller_file import Controller
 from abrace_core.noise import banded_noise
-from abrace_core.safety.command_guard import CommandGuard
+from abrace_core.safety.rig_safety import RigSafety
+from abrace_core.safety.table_guard import TableGuard
 from abrace_lqg.control_law import ControlLaw
 from abrace_lqg.design import design
+from abrace_plant.live.loop import rig_outputs
 from abrace_plant.records.files import read_record
 from abrace_plant.records.record import Record
 from abrace_plant.records.treatment import Treatment, prepare
@@ -34,8 +36,6 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
 
 Array = NDArray[np.float64]
-RAMP_TIME = 0.5
-"""Of a protective stop [s]."""
 TENTH_OF_G = 0.980665
 
 
@@ -116,36 +116,36 @@ def rehearse(
     if cause.fault:
         measurement.faults = (parse_fault(f"{cause.fault}@{cause.start}", names, period),)
     interlocks, motion = Interlocks(rig), RigMotion(rig)
-    guard = CommandGuard(rig.capacity, rig.rate_limit, period, RAMP_TIME)
-    table_guard = CommandGuard([rig.table.peak_acceleration], [rig.table.peak_jerk], period, RAMP_TIME)
+    safety = RigSafety()
+    safety.configure(rig_outputs(rig), period)
+    safety.activate()
+    braces, table = safety.outputs
+    assert isinstance(table, TableGuard)
     running = ControlLaw(law, names) if law else None
     start = round(cause.start / period)
-    zero, force = np.zeros(groups), np.zeros(groups)
-    true = np.zeros(len(names))
-    velocity = displacement = last = drift = greatest = 0.0
-    trip, time = None, 0.0
+    wanted, true = [0.0] * groups, np.zeros(len(names))
+    drift = greatest = time = 0.0
+    trip = None
     for k, planned in enumerate(ground):
-        until_now = force
-        acceleration = float(table_guard.check([planned + (cause.table if k >= start else 0.0)])[0])
-        velocity += period / 2 * (last + acceleration)
-        displacement += period * velocity - period**2 / 4 * (acceleration - last)
-        last = acceleration
-        true[:-1] = motion.outputs(acceleration, force)
-        true[-1] = acceleration
+        until_now = braces.value
+        safety.act([wanted, [planned + (cause.table if k >= start else 0.0)]])
+        if running and k:
+            running.advance(braces.value)
+        true[:-1] = motion.outputs(table.value[0], np.array(braces.value))
+        true[-1] = table.value[0]
         reading = measurement.read(true)
         if cause.tamper and k >= start:
             cause.tamper(reading)
-        found = interlocks.check(reading, until_now, velocity, displacement, over_range.check(reading))
+        at = table.state
+        found = interlocks.check(reading, until_now, at.velocity, at.displacement, over_range.check(reading))
         greatest = max(greatest, float(np.abs(np.diff(true[: rig.floors], prepend=0.0)).max()))
         if found and not trip:
             trip, time, drift = found, k * period, greatest
-            guard.fault(str(found))
-            table_guard.fault(str(found))
+            safety.fault(str(found))
         if running:
-            force = guard.check(running.update(reading.tolist()))
-            running.advance(force.tolist())
-        else:
-            force = guard.check(zero if excitation is None else np.full(groups, excitation[k]))
+            wanted = running.update(reading.tolist()).tolist()
+        elif excitation is not None:
+            wanted = [excitation[k]] * groups
     return Outcome(trip, time, drift, greatest, interlocks.utilisation())
 
 

@@ -27,7 +27,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from abrace_core.errors import AbraceError
-from abrace_core.node.parameters import Parameter, declare
+from abrace_core.node.parameters import Parameter, declare, refuse_unknown_types
 
 RCLError = rclpy_implementation.RCLError
 
@@ -97,6 +97,7 @@ class AbraceNode(Node):
         """Held while `tick` or a change of a parameter acts; see `AbraceLifecycleNode`."""
         self.roused = Future()
         Node.__init__(self, name, context=context)
+        refuse_unknown_types(self)
         self.parameters = declare(self, table)
         self._live = {parameter.name: parameter for parameter in table if parameter.live}
         self._changes: dict[str, tuple[Any, Callable[[], None]]] = {}

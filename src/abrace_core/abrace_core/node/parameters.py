@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import InvalidParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
@@ -199,3 +200,28 @@ def _declare(node: Node, parameter: Parameter, value: Any) -> None:
     node.declare_parameter(parameter.name, value, ParameterDescriptor(dynamic_typing=True), ignore_override=True)
     typed = RosParameter(parameter.name, parameter.ros_type, value)
     node.set_descriptor(parameter.name, parameter.descriptor(), typed.get_parameter_value())
+
+
+def refuse_unknown_types(node: Node) -> None:
+    """Have a node's services refuse parameters of types that do not exist; in rclpy 7.1 they end the process."""
+    for service in node.services:
+        if service.srv_type in (SetParameters, SetParametersAtomically):
+            service.callback = _refusing(service.callback)
+
+
+def _refusing(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    known = [one.value for one in RosParameter.Type]
+
+    def call(request: Any, response: Any) -> Any:
+        wrong = [f"{one.name}: type {one.value.type}" for one in request.parameters if one.value.type not in known]
+        if not wrong:
+            return callback(request, response)
+        reason = f"parameter {', '.join(wrong)}, expected a type of rcl_interfaces/msg/ParameterType"
+        refused = SetParametersResult(successful=False, reason=reason)
+        if isinstance(response, SetParameters.Response):
+            response.results = [refused] * len(request.parameters)
+        else:
+            response.result = refused
+        return response
+
+    return call

@@ -1,0 +1,148 @@
+"""Safety, tried on running nodes over DDS: every row of docs/safety.md as a case, 20 runs each. For `make verify`.
+
+pairs, pairs_covered        states times events, and those of them that a real RigSafety takes where its table says
+cases                       by name: runs, and those that passed
+worst_step_over_rate_limit  of all of them: the greatest change of a command between two samples over what is allowed
+controller                  killed, stopped, flooding: runs, and those in which the force was zero within
+                            `command_timeout` (10 samples), ramp (250) and 5 samples more
+
+python benchmarks/safety.py [RUNS [RUNS OF A CONTROLLER THAT FAILS [CASE ...]]]
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import sys
+import traceback
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rclpy
+from claims import Claim
+from controller_speed import SOURCE
+from isolation import isolated
+from running_graph import Graph
+from safety_by_the_clock import CONTROLLED, EXCITED, FAILURES, Rig
+from safety_cases import LOCKSTEP, plant_in_hand, walk_pairs, worst_step
+from safety_graphs import GRAPHS
+
+from abrace.processes.group import ProcessGroup
+from abrace_core.errors import AbraceError
+from abrace_plant.rig.file import load_rig
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+RUNS, CONTROLLER_RUNS = 20, 100
+_numbers = itertools.count(1)
+
+
+class Tries:
+    """Runs cases, and keeps count.
+
+    Attributes
+    ----------
+    found
+        By name of a case: `passed` and `runs`.
+    worst_step
+        Greatest of all runs.
+    """
+
+    def __init__(self, context: rclpy.Context) -> None:
+        self.found: dict[str, dict[str, int]] = {}
+        self.worst_step = 0.0
+        self._context = context
+
+    def run(self, make: Callable[[Graph], Any], cases: Mapping[str, Callable[[Any], None]], runs: int) -> None:
+        """Try `cases` on a bench that `make` makes of a graph; after one that fails, on a new one."""
+        left = [(name, case) for name, case in cases.items() for _ in range(runs)]
+        while left:
+            name = f"safety_{next(_numbers)}"
+            folder = Path(name).resolve()
+            folder.mkdir()
+            with ProcessGroup() as processes:
+                graph = Graph(f"/{name}", folder, self._context, processes)
+                try:
+                    self._until_one_fails(graph, make, left)
+                finally:
+                    graph.close()
+
+    def _until_one_fails(
+        self, graph: Graph, make: Callable[[Graph], Any], left: list[tuple[str, Callable[[Any], None]]]
+    ) -> None:
+        bench = None
+        while left:
+            name, case = left.pop(0)
+            counts = self.found.setdefault(name, {"passed": 0, "runs": 0})
+            counts["runs"] += 1
+            try:
+                bench = bench or make(graph)
+                bench.begin()
+                case(bench)
+                counts["passed"] += 1
+            except (AssertionError, AbraceError) as error:
+                where = traceback.extract_tb(error.__traceback__)[-1]
+                print(f"{name}: {where.name}, line {where.lineno}: {error}", file=sys.stderr, flush=True)
+                return
+            finally:
+                if bench is not None:
+                    self.worst_step = max(self.worst_step, worst_step(bench.responses))
+
+
+def safety(runs: int = RUNS, controller_runs: int = CONTROLLER_RUNS, only: tuple[str, ...] = ()) -> dict[str, Any]:
+    """All cases, or `only` those of these names; call it on a domain of one's own."""
+    pairs, covered = walk_pairs(load_rig(SOURCE / "abrace_plant/config/ncree_three_storey.yaml"))
+    context = rclpy.Context()
+    context.init()
+
+    def chosen(cases: Mapping[str, Callable[[Any], None]]) -> dict[str, Callable[[Any], None]]:
+        return {name: case for name, case in cases.items() if not only or name in only}
+
+    rows, failing = Tries(context), Tries(context)
+    try:
+        rows.run(plant_in_hand, chosen(LOCKSTEP), runs)
+        for make, cases in GRAPHS.items():
+            rows.run(make, chosen(cases), runs)
+        rows.run(partial(Rig, commander="excitation"), chosen(EXCITED), runs)
+        rows.run(partial(Rig, commander="controller"), chosen(CONTROLLED), runs)
+        failing.run(partial(Rig, commander="controller"), chosen(FAILURES), controller_runs)
+    finally:
+        context.try_shutdown()
+    return {
+        "pairs": pairs,
+        "pairs_covered": covered,
+        "cases": rows.found,
+        "worst_step_over_rate_limit": max(rows.worst_step, failing.worst_step),
+        "controller": failing.found,
+    }
+
+
+def claims_of(found: dict[str, Any]) -> list[Claim]:
+    """What is asked for, and what was reached."""
+    counted = {**found["cases"], **{f"controller {name}": one for name, one in found["controller"].items()}}
+    return [
+        Claim("safety: states with every event", found["pairs_covered"], found["pairs"], "the table", least=True),
+        *(
+            Claim(f"safety: {name.replace('_', ' ')}", one["passed"], one["runs"], f"{one['runs']} runs", least=True)
+            for name, one in counted.items()
+        ),
+        Claim("safety: worst step over the rate limit", found["worst_step_over_rate_limit"], 1.0, "-"),
+    ]
+
+
+def verify_safety() -> tuple[dict[str, Any], list[Claim]]:
+    """All of it, for verify.json."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    with isolated():
+        found = safety()
+    return found, claims_of(found)
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    with isolated():
+        runs, controller_runs, *names = (*sys.argv[1:], *map(str, (RUNS, CONTROLLER_RUNS)[len(sys.argv) - 1 :]))
+        print(json.dumps(safety(int(runs), int(controller_runs), tuple(names)), indent=1))

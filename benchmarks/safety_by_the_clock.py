@@ -1,0 +1,268 @@
+"""What may act, tried on running nodes by the clock: who is deactivated, interrupted, stopped, killed or floods.
+
+Each case is a function of a graph that fails with an AssertionError, as in `safety_cases`. The nodes that stream have a
+real-time priority where that is allowed.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from controller_speed import lqg3
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.srv import GetState
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from safety_cases import RAMP, RATE, worst_step
+
+from abrace_core.controller_file import save_controller
+from abrace_interfaces.msg import BraceCommand, Response
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from running_graph import Graph
+
+TIMEOUT = round(0.02 * RATE)
+"""Samples of the rig's command_timeout."""
+MARGIN = 5
+"""Samples beyond time-out and ramp within which the force has to be zero: the last answer may act two samples later."""
+REST_MARGIN = round(0.1 * RATE)
+"""Samples beyond the ramp within which a rig that is deactivated or interrupted has taken its last one."""
+STALL = 3.0
+FLOOD, FLOOD_RATE = 2000, 10_000
+"""Messages, and a second."""
+DRIVEN: dict[str, Any] = {"rms": 5000.0, "duration": 60.0}
+SHAKEN: dict[str, Any] = {"record": "white_noise", "duration": 60.0, "rms": 0.5, "band": [0.3, 10.0]}
+
+
+class Rig:
+    """A rig by the clock, whom somebody commands.
+
+    Parameters
+    ----------
+    graph
+        Where its nodes are.
+    commander
+        `excitation`, or `controller` with a shaken table.
+    """
+
+    def __init__(self, graph: Graph, commander: str) -> None:
+        self.graph, self.commander = graph, commander
+        graph.by_the_clock = True
+        self.responses: list[Response] = graph.listen(Response, "response")
+        self.commands: list[BraceCommand] = graph.listen(BraceCommand, "brace_command")
+        graph.start("plant")
+        if commander == "controller":
+            save_controller(lqg3(), graph.folder / "lqg3.yaml")
+            graph.start("ground_motion", autostart=False, **SHAKEN)
+            assert graph.change_state("ground_motion", "configure")
+        self.start_commander()
+        graph.until_matched("plant", brace_command=1)
+        self.flood = graph.publisher(BraceCommand, "brace_command")
+        if commander == "controller":
+            graph.until_matched("ground_motion", response=1, ground_motion=1)
+            assert graph.change_state("ground_motion", "activate")
+
+    def start_commander(self) -> None:
+        """Start whoever commands."""
+        if self.commander == "controller":
+            self.graph.start("controller", "--params-file", self.graph.folder / "lqg3.yaml")
+        else:
+            self.graph.start("excitation", **DRIVEN)
+
+    @property
+    def last(self) -> Response:
+        """The last sample."""
+        return self.responses[-1]
+
+    def begin(self) -> None:
+        """Let the rig run, and somebody command it; forget the samples before."""
+        graph = self.graph
+        for name in (self.commander, "plant"):
+            if name not in graph.started:
+                if name == "plant":
+                    graph.start("plant")
+                else:
+                    self.start_commander()
+        if graph.state("plant") == "inactive":
+            assert graph.change_state("plant", "activate")
+        count = len(self.responses)
+        graph.until(lambda: len(self.responses) > count + 5, "samples")
+        if self.last.state not in (Response.RUNNING, Response.FADING_IN):
+            graph.until(lambda: self.last.state == Response.LATCHED, "all to be at rest")
+            graph.until(self.cleared, "the rig to be cleared")
+            name = "ground_motion" if self.commander == "controller" else self.commander
+            for transition in ("deactivate", "activate"):
+                assert graph.change_state(name, transition)
+        graph.until(lambda: self.last.state == Response.RUNNING, "the rig to run")
+        del self.responses[:-1], self.commands[:-1]
+
+    def cleared(self) -> bool:
+        """Clear the rig's fault, and before it the one that its commander may have of its own."""
+        status = self.graph.statuses.get(self.commander)
+        if status is not None and status.level == DiagnosticStatus.ERROR:
+            self.graph.clear_fault(self.commander)
+        return bool(self.graph.clear_fault("plant").success)
+
+    def until_driven(self, force: float) -> None:
+        """Wait until the braces push with more than a `force` [N], by commands in time: a new node's are late."""
+
+        def driven() -> bool:
+            late = self.last.sequence - self.commands[-1].sequence if self.commands else 10
+            return bool(abs(self.last.command[0]) > force and abs(late) < 5)
+
+        self.graph.until(driven, f"{force:g} N")
+
+    def sample_at(self, moment: int) -> int:
+        """Number of the last sample before a moment of the wall clock [ns]."""
+        stamps = [10**9 * one.header.stamp.sec + one.header.stamp.nanosec for one in self.responses]
+        return int(self.responses[max(0, int(np.searchsorted(stamps, moment)) - 1)].sequence)
+
+    def expect_zero(self, since: int, within: int) -> None:
+        """The force has to be zero by sample `since` + `within`, for good, and on no way with a step."""
+        deadline = since + within + 20
+        self.graph.until(lambda: self.last.sequence >= deadline, "the force to be zero")
+        late = [one for one in self.responses if one.sequence > since + within]
+        assert not any(one.command[0] for one in late), f"force on {within} samples after sample {since}"
+        assert worst_step(self.responses) <= 1.0, "a step beyond the rate limit"
+
+
+def rig_deactivated(rig: Rig) -> None:
+    """At 6 kN: the ramp first, then it is inactive."""
+    rig.until_driven(6e3)
+    run, moment, began = rig.last.run, time.time_ns(), time.monotonic()
+    assert rig.graph.change_state("plant", "deactivate")
+    took = time.monotonic() - began
+    rig.graph.until(lambda: rig.last.flags & Response.LAST, "the last sample")
+    _expect_last(rig, moment, run)
+    assert took < (RAMP + REST_MARGIN) / RATE, f"{took:.2f} s"
+
+
+def rig_interrupted(rig: Rig) -> None:
+    """Ctrl-C at 6 kN: the ramp first."""
+    rig.until_driven(6e3)
+    run, moment = rig.last.run, time.time_ns()
+    assert rig.graph.stop("plant") == 0
+    del rig.graph.started["plant"]
+    rig.graph.until(lambda: rig.last.flags & Response.LAST, "the last sample")
+    _expect_last(rig, moment, run)
+
+
+def _expect_last(rig: Rig, moment: int, run: int) -> None:
+    first = rig.sample_at(moment)
+    assert rig.last.run == run
+    # a sample says what was in force until it was taken: the end of the ramp
+    assert abs(rig.last.command[0]) < 1.0, f"{rig.last.command[0]} N"
+    assert rig.last.state == Response.STANDBY
+    assert rig.last.sequence - first < RAMP + REST_MARGIN, f"{rig.last.sequence - first} samples"
+    assert worst_step(rig.responses) <= 1.0, "a step beyond the rate limit"
+
+
+def commander_interrupted(rig: Rig) -> None:
+    """Ctrl-C at 6 kN: its force goes to zero, and that is no fault."""
+    rig.until_driven(6e3)
+    moment = time.time_ns()
+    assert rig.graph.stop(rig.commander) == 0
+    del rig.graph.started[rig.commander]
+    # all that was sent before the node ended
+    count = len(rig.responses)
+    rig.graph.until(lambda: len(rig.responses) > count + RAMP, "samples")
+    rig.expect_zero(rig.sample_at(moment), RAMP + REST_MARGIN)
+    assert rig.last.state == Response.RUNNING, rig.last.cause
+
+
+def rig_stalled(rig: Rig) -> None:
+    """Held up for 3 s: a fault of the rig and of whoever commands it, and every sample that was missed is missing."""
+    rig.until_driven(2e3)
+    plant = rig.graph.started["plant"].group
+    os.kill(plant, signal.SIGSTOP)
+    stalled = time.monotonic()
+    rig.graph.until_fault(rig.commander, "no response for more than 0.1 s")
+    rig.graph.until(lambda: time.monotonic() > stalled + STALL, "the end of the stall")
+    os.kill(plant, signal.SIGCONT)
+    rig.graph.until(lambda: rig.last.state == Response.LATCHED, "all to be at rest")
+    assert "samples missed before sample" in rig.last.cause, rig.last.cause
+    stamps = np.array([one.header.stamp.sec + 1e-9 * one.header.stamp.nanosec for one in rig.responses])
+    sequences = np.array([one.sequence for one in rig.responses], dtype=np.int64)
+    held = int(np.argmax(np.diff(stamps)))
+    assert np.diff(stamps)[held] > STALL - 0.1
+    assert abs(np.diff(sequences)[held] / RATE - np.diff(stamps)[held]) < 0.05, "none is hidden"
+    refused = rig.graph.clear_fault("plant")
+    assert not refused.success
+    assert "its sender reports a fault: no response" in refused.message, refused.message
+    assert worst_step(rig.responses) <= 1.0, "a step beyond the rate limit"
+
+
+def loop_undisturbed(rig: Rig) -> None:
+    """Parameters and life cycle services of a controller in use: every sample is answered before the next one."""
+    rig.until_driven(100.0)
+    values = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(rig.graph.folder / "lqg3.yaml"))
+    request = SetParameters.Request(parameters=[Parameter(name="next", value=values)])
+    asked = time.monotonic()
+    rig.graph.call(SetParameters, "controller/set_parameters", request)
+    took = time.monotonic() - asked
+    assert took > 0.002, "a service of more than a sample"
+    assert not rig.graph.change_state("controller", "configure"), "configured while it is active"
+    rig.graph.call(GetState, "controller/get_state", GetState.Request())
+    count = len(rig.responses) + 50
+    rig.graph.until(lambda: len(rig.responses) > count, "samples")
+    answered = [one.sequence for one in rig.commands if one.sequence > rig.responses[0].sequence]
+    assert (np.diff(answered) == 1).all(), "an answer is missing"
+    late = sum(bool(one.flags & Response.LATE) for one in rig.responses)
+    assert not late, f"{late} samples were late"
+    in_force = {one.sequence: one.command[0] for one in rig.responses}
+    waited = [one.sequence for one in rig.commands if in_force.get(one.sequence + 2, one.force[0]) != one.force[0]]
+    assert not waited, f"{len(waited)} answers acted late, the first to sample {waited[0]}"
+
+
+def killed(rig: Rig) -> None:
+    """The controller is killed: the last command holds for the time-out, then the ramp."""
+    rig.until_driven(1e3)
+    rig.graph.kill(rig.commander)
+    rig.graph.stop(rig.commander)
+    del rig.graph.started[rig.commander]
+    rig.graph.until(lambda: rig.last.state == Response.RAMPING_DOWN, "the ramp")
+    rig.expect_zero(rig.commands[-1].sequence, TIMEOUT + RAMP + MARGIN)
+    assert "no brace_command for" in rig.last.cause, rig.last.cause
+    rig.start_commander()
+
+
+def stopped(rig: Rig) -> None:
+    """The controller is stopped, and goes on later."""
+    rig.until_driven(1e3)
+    controller = rig.graph.started[rig.commander].group
+    os.kill(controller, signal.SIGSTOP)
+    rig.graph.until(lambda: rig.last.state == Response.RAMPING_DOWN, "the ramp")
+    last = rig.commands[-1].sequence
+    rig.expect_zero(last, TIMEOUT + RAMP + MARGIN)
+    assert "no brace_command for" in rig.last.cause, rig.last.cause
+    os.kill(controller, signal.SIGCONT)
+
+
+def flooding(rig: Rig) -> None:
+    """The same sample is answered thousands of times, with other forces."""
+    rig.until_driven(1e3)
+    message = BraceCommand(run=rig.last.run)
+    moment, begin = time.time_ns(), time.monotonic()
+    for number in range(FLOOD):
+        rig.graph.executor.spin_once(timeout_sec=0.0)
+        message.sequence, message.force = rig.last.sequence, [20e3 if number % 2 else -20e3]
+        rig.flood.publish(message)
+        time.sleep(max(0.0, begin + number / FLOOD_RATE - time.monotonic()))
+    rig.expect_zero(rig.sample_at(moment), TIMEOUT + RAMP + MARGIN)
+    assert "two messages on brace_command" in rig.last.cause, rig.last.cause
+
+
+EXCITED: dict[str, Callable[[Rig], None]] = {
+    "rig_deactivated": rig_deactivated,
+    "rig_interrupted": rig_interrupted,
+    "commander_interrupted": commander_interrupted,
+    "rig_stalled": rig_stalled,
+}
+CONTROLLED: dict[str, Callable[[Rig], None]] = {"nothing_but_the_loop_in_its_thread": loop_undisturbed}
+FAILURES: dict[str, Callable[[Rig], None]] = {"killed": killed, "stopped": stopped, "flooding": flooding}

@@ -1,0 +1,221 @@
+"""What may act, tried on running nodes in lockstep: motions of the table, a law with the wrong sign, samples of old.
+
+Each case is a function of a graph of its own kind that fails with an AssertionError, as in `safety_cases`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import random
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from controller_speed import SOURCE, lqg3
+from geometry_msgs.msg import AccelStamped
+from rclpy.action import ActionClient
+from safety_cases import RATE, worst_step
+from std_msgs.msg import Bool
+
+from abrace_core.controller_file import save_controller
+from abrace_core.noise import banded_noise
+from abrace_interfaces.action import PlayGroundMotion
+from abrace_interfaces.msg import BraceCommand, Response
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+from running_graph import LATCHED, Graph
+
+PERIOD_NS = round(1e9 / RATE)
+EL_CENTRO: dict[str, Any] = {"record": "el_centro", "peak_acceleration": 7.84532}
+"""At 0.8 g, where a tapered acceleration would leave up to 0.9 m/s."""
+DEMO_NOISE: dict[str, Any] = {"record": "white_noise", "rms": 0.25, "duration": 240.0}
+DEMO_BAND = [0.1, 10.0]
+COASTING = 2e-3
+"""Greatest velocity [m/s] that the table may be left with, as its accelerometer's readings sum up, noise included."""
+
+
+def wide_rig(folder: Path) -> Path:
+    """The paper's rig with sensors that reach far, and interlocks that only warn: a strong motion is played on it."""
+    text = (SOURCE / "abrace_plant/config/ncree_three_storey.yaml").read_text(encoding="utf-8")
+    text = text.replace("action: stop", "action: warn").replace("range: 1.5, noise", "range: 20.0, noise")
+    file = folder / "wide.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+class StrongMotion:
+    """El Centro at 0.8 g on a rig in lockstep whose braces are at rest, and a stop button."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph, self.moments = graph, random.Random(1)
+        self.responses: list[Response] = graph.listen(Response, "response")
+        rig = str(wide_rig(graph.folder))
+        graph.start("plant", rig=rig, lockstep=True, lockstep_timeout=60.0, wait_for=["ground_motion"], autostart=False)
+        graph.start("ground_motion", rig=rig, autostart=False, **EL_CENTRO)
+        for name in ("plant", "ground_motion"):
+            assert graph.change_state(name, "configure")
+        self.button = graph.publisher(Bool, "emergency_stop", LATCHED)
+        for name in ("ground_motion", "plant"):
+            graph.until_matched(name, response=1, ground_motion=1)
+            assert graph.change_state(name, "activate")
+
+    def begin(self) -> None:
+        """Play from the beginning, in a new run."""
+        graph = self.graph
+        if self.responses and self.responses[-1].state == Response.LATCHED:
+            run = self.responses[-1].run
+            for name in ("plant", "ground_motion"):
+                assert graph.change_state(name, "deactivate")
+            graph.until(lambda: graph.clear_fault("plant").success, "the rig to be cleared")
+            self.responses.clear()
+            for name in ("ground_motion", "plant"):
+                assert graph.change_state(name, "activate")
+            graph.until(lambda: self.responses and self.responses[-1].run != run, "a new run")
+
+    def stop(self) -> None:
+        """Press at a random moment of the strong part: the table ends at rest, not with a velocity."""
+        moment = 500 + self.moments.randrange(2000)
+        self.graph.until(lambda: len(self.responses) > moment, "the strong part")
+        self.button.publish(Bool(data=True))
+        self.graph.until(lambda: self.responses[-1].state == Response.PROTECTIVE_STOP, "the table to be at rest")
+        count = len(self.responses) + 20
+        self.graph.until(lambda: len(self.responses) > count, "the table to stand still")
+        acceleration = np.array([one.ground_acceleration for one in self.responses])
+        moving = np.array([one.state == Response.RUNNING for one in self.responses])
+        velocity = acceleration.cumsum() / RATE
+        assert abs(velocity[moving]).max() > 10 * COASTING, "the table moved"
+        assert abs(velocity[-1]) < COASTING, f"{velocity[-1]:.2g} m/s are left"
+        assert abs(acceleration[-10:]).max() < 0.01, "the table is at rest"
+        self.button.publish(Bool(data=False))
+        self.graph.until(lambda: self.responses[-1].state == Response.LATCHED, "the release")
+
+
+class WrongSign:
+    """El Centro at 0.1 g on a rig in lockstep with LQG3 of the wrong sign."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self.responses: list[Response] = graph.listen(Response, "response")
+        right = lqg3()
+        law = replace(right.law, c=-right.law.c, d=-right.law.d)
+        save_controller(replace(right, law=law, correction=0 * right.correction), graph.folder / "wrong.yaml")
+        inputs = ["brace_command", "ground_motion"]
+        graph.start("plant", lockstep=True, lockstep_timeout=60.0, wait_for=inputs, autostart=False)
+        graph.start("ground_motion", record="el_centro", peak_acceleration=0.980665, autostart=False)
+        graph.start("controller", "--params-file", graph.folder / "wrong.yaml")
+        for name in ("plant", "ground_motion"):
+            assert graph.change_state(name, "configure")
+        graph.until_matched("plant", response=3, ground_motion=1, brace_command=1)
+        for name in ("ground_motion", "plant"):
+            assert graph.change_state(name, "activate")
+
+    begin = StrongMotion.begin
+
+    def trip(self) -> None:
+        """An interlock stops braces and table while the building is elastic."""
+        self.graph.until(lambda: self.responses and self.responses[-1].state == Response.LATCHED, "an interlock")
+        assert "(interlocks." in self.responses[-1].cause, self.responses[-1].cause
+        drift = np.diff([one.displacement for one in self.responses], prepend=0.0)
+        assert np.abs(drift).max() < 0.045, f"a drift of {np.abs(drift).max():.3f} m"
+        assert abs(self.responses[-1].command[0]) < 1.0, "what was in force until then: the end of the ramp"
+        assert worst_step(self.responses) <= 1.0, f"a step of {worst_step(self.responses):.6g} times the rate limit"
+
+
+class Table:
+    """A `ground_motion` without a rig, and others that are refused."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph, self.seed = graph, itertools.count(1)
+        self.responses: list[Response] = []
+        graph.start("ground_motion")
+        self.client = ActionClient(graph.node, PlayGroundMotion, "play_ground_motion")
+        graph.until(self.client.server_is_ready, "the action")
+
+    def begin(self) -> None:
+        """Nothing moves."""
+
+    def refuse(self) -> None:
+        """El Centro with a PGA of 30 m/s^2, where the table has 10, is refused before it is played."""
+        goal = PlayGroundMotion.Goal(record="el_centro", peak_acceleration=30.0)
+        asked = self.client.send_goal_async(goal)
+        self.graph.until(asked.done, "an answer")
+        ended = asked.result().get_result_async()
+        self.graph.until(ended.done, "its result")
+        result = ended.result().result
+        assert not result.success
+        assert not result.samples
+        assert "acceleration 30 m/s^2" in result.message, result.message
+
+    def noise(self) -> None:
+        """The demo's noise is within the stroke, whatever its seed; from 0 Hz on it is not, and is refused."""
+        seed, graph = next(self.seed), self.graph
+        graph.start("ground_motion", name="demo", band=DEMO_BAND, seed=seed, **DEMO_NOISE)
+        graph.start("ground_motion", name="from_zero", band=[0.0, 10.0], seed=seed, **DEMO_NOISE)
+        assert graph.ended("from_zero") == 2
+        assert any("more than the table has: displacement" in line for line in graph.output_of("from_zero")), (
+            graph.output_of("from_zero")
+        )
+        graph.until(lambda: "demo" in graph.statuses, "the demo's motion")
+        assert graph.stop("demo") == 0
+        graph.stop("from_zero")
+        for name in ("demo", "from_zero"):
+            graph.started.pop(name)
+            graph.statuses.pop(name, None)
+
+
+class OldSamples:
+    """We in the rig's place before an `excitation` and a `ground_motion`."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph, self.run = graph, 10
+        self.responses: list[Response] = []
+        self.commands: list[BraceCommand] = graph.listen(BraceCommand, "brace_command")
+        self.motions: list[AccelStamped] = graph.listen(AccelStamped, "ground_motion")
+        self.publisher = graph.publisher(Response, "response", subscribers=0)
+        graph.start("excitation", rms=5000.0, duration=60.0, seed=2)
+        graph.start("ground_motion", record="white_noise", duration=60.0, rms=0.25)
+        graph.until_matched("excitation", response=1, brace_command=1)
+        graph.until_matched("ground_motion", response=1, ground_motion=1)
+        self.signal = banded_noise(round(60.0 * RATE), RATE, (0.0, 30.0), 5000.0, 2)
+
+    def begin(self) -> None:
+        """The rig begins a new run."""
+        self.run += 10
+        self.commands.clear()
+        self.motions.clear()
+
+    def _sample(self, run: int, sequence: int) -> Response:
+        sample = Response(run=run, sequence=sequence, state=Response.RUNNING, flags=Response.LOCKSTEP)
+        sample.displacement = sample.acceleration = [0.0] * 3
+        sample.stroke = sample.force = sample.command = [0.0]
+        sample.header.stamp.sec, sample.header.stamp.nanosec = divmod(sequence * PERIOD_NS, 10**9)
+        return sample
+
+    def answer(self) -> None:
+        """Old and repeated samples, and those of earlier runs, are not answered and change nothing."""
+        for sequence in range(200):
+            if sequence > 100 and sequence % 10 == 0:
+                for run, old in ((self.run, sequence - 1), (self.run, sequence - 50), (self.run - 10, sequence)):
+                    self.publisher.publish(self._sample(run, old))
+            self.publisher.publish(self._sample(self.run, sequence))
+            count = sequence + 1
+            self.graph.until(lambda n=count: len(self.commands) >= n and len(self.motions) >= n, "the answers")  # type: ignore[misc]
+        assert [one.sequence for one in self.commands] == list(range(200)), "an old sample was answered"
+        forces = np.array([one.force[0] for one in self.commands])
+        steps = np.abs(np.diff(forces))
+        assert steps.max() <= np.abs(np.diff(self.signal[:200])).max() + 1e-9, "a step in force"
+        assert (forces[1:] == self.signal[1:200]).all(), "another force than the signal's"
+        motion = np.array([one.accel.linear.x for one in self.motions])
+        assert np.abs(np.diff(motion)).max() < 0.1, "a step in acceleration"
+        assert len(motion) == 200
+
+
+GRAPHS: dict[Callable[[Graph], Any], dict[str, Callable[[Any], None]]] = {
+    StrongMotion: {"stop_during_el_centro": StrongMotion.stop},
+    WrongSign: {"law_with_wrong_sign": WrongSign.trip},
+    Table: {"motion_beyond_the_table": Table.refuse, "demo_noise_within_the_stroke": Table.noise},
+    OldSamples: {"old_and_repeated_response": OldSamples.answer},
+}

@@ -1,0 +1,301 @@
+"""The real nodes as processes of their own over real DDS, beside a node of whoever watches or drives them.
+
+For the tests in `tests/graph` and for `make verify`. Nothing here waits for a time to pass: `Graph.until` waits for a
+condition, with a deadline that a healthy machine never comes near.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from isolation import own_shared_memory
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from abrace.processes.group import NodeProcess, ProcessGroup, find_executable
+from abrace.processes.parameter_file import parameter_file
+from abrace_interfaces.msg import BraceCommand, Response
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from rclpy.client import Client
+    from rclpy.node import Node
+    from rclpy.publisher import Publisher
+    from rclpy.task import Future
+
+PATIENCE = 30.0
+PACKAGES = {
+    "plant": "abrace_plant",
+    "ground_motion": "abrace_plant",
+    "logger": "abrace_bags",
+    "replay": "abrace_bags",
+    "excitation": "abrace_sysid",
+    "controller": "abrace_lqg",
+    "supervisor": "abrace",
+}
+STREAMING = ("plant", "ground_motion", "excitation", "controller")
+TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
+    "shutdown": Transition.TRANSITION_ACTIVE_SHUTDOWN,
+}
+STREAM = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Graph:
+    """Nodes in a namespace, and the tests' own node among them."""
+
+    def __init__(self, namespace: str, folder: Path, context: rclpy.Context, processes: ProcessGroup) -> None:
+        self.namespace = namespace
+        self.folder = folder
+        self.processes = processes
+        self.node: Node = rclpy.create_node("test", namespace=namespace, context=context)
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.node)
+        self.started: dict[str, NodeProcess] = {}
+        self.by_the_clock = False
+        """Whether the nodes that stream are started with a priority that keeps other tests from holding them up."""
+        self.may_end: set[str] = set()
+        """Names of nodes that may end while we wait."""
+        self._clients: dict[str, Client] = {}
+        self.statuses: dict[str, DiagnosticStatus] = {}
+        """The last diagnostics of each node, by its name."""
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            namespace, _, name = status.name.partition(":")[0].rpartition("/")
+            if f"/{namespace}" == self.namespace:
+                self.statuses[name] = status
+
+    def start(
+        self,
+        executable: str,
+        *arguments: str | Path,
+        name: str = "",
+        **parameters: Any,
+    ) -> NodeProcess:
+        """Start a node with parameters and further ROS arguments; `name` where it is to be called otherwise."""
+        name = name or executable
+        if self.by_the_clock and executable in STREAMING:
+            parameters = {"thread_priority": 50, **parameters}
+        command: list[str | Path] = [find_executable(PACKAGES[executable], executable)]
+        command += ["--ros-args", "-r", f"__ns:={self.namespace}"]
+        if name != executable:
+            command += ["-r", f"__node:={name}"]
+        if parameters:
+            command += ["--params-file", parameter_file(self.folder / f"{name}.yaml", parameters)]
+        log = self.folder / f"{name}.log"
+        process = self.processes.start(name, [*command, *arguments], log)
+        self.started[name] = process
+        if executable not in ("logger", "replay", "supervisor"):
+            self._client(ChangeState, f"{name}/change_state")
+            self._client(GetState, f"{name}/get_state")
+            self._client(Trigger, f"{name}/clear_fault")
+        return process
+
+    def _client(self, service_type: type, service: str) -> Client:
+        """Our client of a service, made when its node starts: a server drops answers to one that it hardly knows."""
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(service_type, service)
+        return self._clients[service]
+
+    def until(self, holds: Callable[[], Any], what: str, patience: float = PATIENCE) -> Any:
+        """Spin until `holds()`; fail when it does not within `patience`, or when a node has died."""
+        deadline = time.monotonic() + patience
+        while not (answer := holds()):
+            assert time.monotonic() < deadline, f"waited {patience:g} s for {what}; {self.reported()}"
+            self.executor.spin_once(timeout_sec=0.02)
+            for process in self.started.values():
+                if process.returncode is not None and process.name not in self.may_end:
+                    raise process.died()
+        return answer
+
+    def reported(self) -> str:
+        """What each node says of itself."""
+        return "; ".join(f"{name}: {status.message}" for name, status in self.statuses.items())
+
+    def ended(self, name: str) -> int:
+        """Wait for the end of a node; returns its exit code."""
+        self.may_end.add(name)
+        process = self.started[name]
+        self.until(lambda: process.returncode is not None, f"{name} to end")
+        assert process.returncode is not None
+        return process.returncode
+
+    def stop(self, name: str) -> int:
+        """Stop a node with SIGINT; returns its exit code."""
+        self.may_end.add(name)
+        process = self.processes.stop(name)
+        self.until(lambda: process.returncode is not None, f"{name} to end")
+        assert process.returncode is not None
+        return process.returncode
+
+    def kill(self, name: str) -> None:
+        """End a node with SIGKILL; what it leaves in shared memory is removed."""
+        process = self.started[name]
+        left = own_shared_memory(process.group)
+        os.kill(process.group, signal.SIGKILL)
+        assert self.ended(name) == -signal.SIGKILL
+        for file in left:
+            file.unlink(missing_ok=True)
+
+    def output_of(self, name: str) -> list[str]:
+        """The lines that a node has printed."""
+        return self.started[name].log_file.read_text().splitlines()
+
+    def listen(self, message_type: type, topic: str, qos: QoSProfile = STREAM) -> list[Any]:
+        """Subscribe; the messages come into the list that is returned."""
+        messages: list[Any] = []
+        self.node.create_subscription(message_type, topic, messages.append, qos)
+        return messages
+
+    def publisher(self, message_type: type, topic: str, qos: QoSProfile = STREAM, subscribers: int = 1) -> Publisher:
+        """A publisher with that many subscribers matched."""
+        publisher = self.node.create_publisher(message_type, topic, qos)
+        self.until(lambda: publisher.get_subscription_count() >= subscribers, f"subscribers of {topic}")
+        return publisher
+
+    def values(self, name: str) -> dict[str, str]:
+        """What a node's last diagnostics say."""
+        status = self.statuses.get(name)
+        return {entry.key: entry.value for entry in status.values} if status else {}
+
+    def until_matched(self, name: str, **counts: int) -> None:
+        """Wait until a node says that it has found its partners: `response=2` means two on the topic `response`."""
+
+        def matched() -> bool:
+            values = self.values(name)
+            return all(
+                int(values.get(f"{side} of {topic}", 0)) >= count
+                for topic, count in counts.items()
+                for side in ("publishers", "subscribers")
+                if f"{side} of {topic}" in values
+            ) and all(any(f"{side} of {topic}" in values for side in ("publishers", "subscribers")) for topic in counts)
+
+        self.until(matched, f"{name} to match {counts}")
+
+    def until_fault(self, name: str, reason: str) -> None:
+        """Wait until a node reports a fault with these words, at level ERROR."""
+
+        def reported() -> bool:
+            status = self.statuses.get(name)
+            return (
+                status is not None
+                and status.level == DiagnosticStatus.ERROR
+                and status.message.startswith("fault: ")
+                and reason in status.message
+            )
+
+        self.until(reported, f"{name} to report a fault: {reason}")
+
+    def until_well(self, name: str) -> None:
+        """Wait until a node's next diagnostics, which have to report no fault."""
+        self.statuses.pop(name, None)
+        self.until(lambda: name in self.statuses, f"diagnostics of {name}")
+        status = self.statuses[name]
+        assert status.level == DiagnosticStatus.OK, status.message
+
+    def ask(self, service_type: type, service: str, request: Any) -> Future:
+        """Call a service once it is there; its response is the future's result."""
+        client = self._client(service_type, service)
+        self.until(client.service_is_ready, f"service {service}")
+        return client.call_async(request)
+
+    def call(self, service_type: type, service: str, request: Any) -> Any:
+        """Call a service and wait for its response."""
+        answer = self.ask(service_type, service, request)
+        self.until(answer.done, f"an answer of {service}")
+        return answer.result()
+
+    def change_state(self, name: str, transition: str) -> bool:
+        """Take a life cycle node through a transition; whether it went."""
+        request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
+        return bool(self.call(ChangeState, f"{name}/change_state", request).success)
+
+    def state(self, name: str) -> str:
+        """A life cycle node's state; asked again where a server dropped its answer to a new client."""
+        answers: list[Future] = []
+
+        def answered() -> Any:
+            if not answers or time.monotonic() > asked + 5 * len(answers):
+                answers.append(self.ask(GetState, f"{name}/get_state", GetState.Request()))
+            return next((answer for answer in answers if answer.done()), None)
+
+        asked = time.monotonic()
+        return str(self.until(answered, f"the state of {name}").result().current_state.label)
+
+    def clear_fault(self, name: str) -> Trigger.Response:
+        """Call a node's clear_fault."""
+        return self.call(Trigger, f"{name}/clear_fault", Trigger.Request())
+
+    def emergency_stop(self) -> Callable[[bool], None]:
+        """The button: a latched publisher of emergency_stop, matched with the plant."""
+        publisher = self.publisher(Bool, "emergency_stop", LATCHED)
+        return lambda pressed: publisher.publish(Bool(data=pressed))
+
+    def close(self) -> None:
+        """Take the tests' node out of the graph."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+
+
+class Commander:
+    """The hand at the braces of a rig in lockstep: answers sample after sample with the force that it is told."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self.responses: list[Response] = graph.listen(Response, "response")
+        self._publisher = graph.publisher(BraceCommand, "brace_command")
+        graph.until(lambda: self.responses, "the rig's first sample")
+
+    def send(self, force: Sequence[float], fault: str = "") -> None:
+        """Answer the present sample, with the `fault` of its own that it reports."""
+        sample = self.responses[-1]
+        answer = BraceCommand(run=sample.run, sequence=sample.sequence, force=force, fault=fault)
+        self._publisher.publish(answer)
+
+    def answer(self, *forces: Sequence[float]) -> None:
+        """Answer as many samples, each with its force."""
+        for force in forces:
+            more = self._more()
+            self.send(force)
+            self._graph.until(more, "the next sample")
+
+    def _more(self) -> Callable[[], bool]:
+        count = len(self.responses)
+        return lambda: len(self.responses) > count
+
+    def hold(self, force: float, samples: int) -> None:
+        """Answer so many samples with this force."""
+        self.answer(*[[force]] * samples)
+
+    @property
+    def states(self) -> np.ndarray:
+        """(samples,) of the rig."""
+        return np.array([response.state for response in self.responses])
+
+    @property
+    def commands(self) -> np.ndarray:
+        """(samples,) [N], the command in force until each sample."""
+        return np.array([response.command[0] for response in self.responses])
+
+    @property
+    def forces(self) -> np.ndarray:
+        """(samples,) [N], as measured."""
+        return np.array([response.force[0] for response in self.responses])
