@@ -12,7 +12,7 @@ import pytest
 from policy import KINDS, may, read_policy
 
 ROOT = Path(__file__).parents[2]
-POLICY = ROOT / "src/abrace_bringup/security/policy.xml"
+POLICY = ROOT / "src/abrace_bringup/config/security_policy.xml"
 SCRIPT = ROOT / "src/abrace_bringup/scripts/make_keystore"
 RIGS = {"plant", "sensor_bridge"}
 COMMANDERS = {"controller", "excitation"}
@@ -111,7 +111,7 @@ def test_the_keystore_has_every_enclave_for_the_namespace_and_is_for_its_owner_a
     calls = len((tmp_path / "calls").read_text().splitlines())
     keystore_with(tmp_path, CREATES, str(keystore), "/left/rig_2")
     again = (tmp_path / "calls").read_text().splitlines()[calls:]
-    assert {call.split()[1] for call in again} == {"create_permission", "--help"}, "keys are kept, permissions signed anew"
+    assert {call.split()[1] for call in again} == {"create_permission", "--help"}, "keys are kept"
 
 
 @pytest.mark.parametrize(
