@@ -10,6 +10,8 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/abrace_bringup"]),
         ("share/abrace_bringup", ["package.xml"]),
         ("share/abrace_bringup/launch", sorted(glob("launch/*.launch.py"))),
+        ("share/abrace_bringup/config", sorted(glob("config/*.xml"))),
+        ("lib/abrace_bringup", ["scripts/make_keystore"]),
     ],
     zip_safe=True,
     maintainer="abrace developers",

@@ -49,6 +49,8 @@ def test_every_argument_has_a_description_and_only_what_has_to_be_given_a_defaul
         ("plant", "no", "true or false"),
         ("namespace", "2rig", "a ROS namespace"),
         ("namespace", "", "a ROS namespace"),
+        ("enclaves", "abrace", "a folder of enclaves such as /abrace"),
+        ("enclaves", "/abrace/", "a folder of enclaves such as /abrace"),
         ("rig", "", "the name of a rig or a file"),
         ("rig", "none.yaml", "none of this name"),
         ("record", "./none", "none of this name"),

@@ -88,6 +88,13 @@ def namespace(text: str) -> str:
     return text.lstrip("/")
 
 
+def enclave_folder(text: str) -> str:
+    """A folder of enclaves, which begins with a slash, or nothing."""
+    if text and not (text.startswith("/") and NAMESPACE.fullmatch(text)):
+        raise ValueError("a folder of enclaves such as /abrace")
+    return text
+
+
 def new_bag(text: str) -> str:
     """A path where nothing is yet."""
     if not text or Path(text).exists():

@@ -88,6 +88,7 @@ def _node(values: Mapping[str, Any], setup: NodeSetup) -> Action:
         executable=setup.executable,
         namespace=values["namespace"],
         output="screen",
+        ros_arguments=["--enclave", f"{values['enclaves']}/{setup.executable}"] if values["enclaves"] else [],
         parameters=[
             {name: _typed(value) for name, value in setup.parameters.items()},
             *(ParameterFile(file) for file in files),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from abrace_bringup.arguments import (
     Argument,
     duration,
+    enclave_folder,
     flag,
     namespace,
     new_bag,
@@ -34,6 +35,12 @@ COMMON = (
         "",
         "ROS parameter file for all nodes, by their names; goes before arguments; empty: none",
         parameter_file_or_none,
+    ),
+    Argument(
+        "enclaves",
+        "",
+        "SROS2: folder of the nodes' enclaves in the keystore, such as /abrace; empty: none are named",
+        enclave_folder,
     ),
     Argument("robot_state_publisher", "false", "true: start robot_state_publisher as well, for RViz", flag),
 )

@@ -59,12 +59,15 @@ class GraphMonitor:
         Names of the life cycle nodes whose state it changes.
     name
         Of its node.
+    enclave
+        Of SROS2, whose keys it uses.
     """
 
-    def __init__(self, namespace: str, driven: Sequence[str], name: str = "campaign") -> None:
+    def __init__(self, namespace: str, driven: Sequence[str], name: str = "campaign", enclave: str = "/") -> None:
         self._namespace = namespace
         self._driven = driven
         self._name = name
+        self._enclave = enclave
         self.values: dict[str, dict[str, str]] = {}
         """Values of each node's last diagnostics, by node name."""
         self.faults: dict[str, str] = {}
@@ -72,7 +75,7 @@ class GraphMonitor:
 
     def __enter__(self) -> Self:
         self._context = rclpy.Context()
-        self._context.init(args=[])
+        self._context.init(args=["--ros-args", "--enclave", self._enclave])
         rclpy.signals.install_signal_handlers(SignalHandlerOptions.NO)
         self._node = rclpy.create_node(self._name, namespace=self._namespace, context=self._context)
         self._executor = rclpy.executors.SingleThreadedExecutor(context=self._context)

@@ -46,7 +46,7 @@ class Supervisor(AbraceNode):
 
     def work(self) -> None:
         """Begin, watch and end the test."""
-        with GraphMonitor(self.get_namespace(), self.held, "supervisor_monitor") as self.monitor:
+        with GraphMonitor(self.get_namespace(), self.held, "supervisor_monitor", self.enclave) as self.monitor:
             try:
                 self.begin()
                 self.watch()
@@ -68,6 +68,13 @@ class Supervisor(AbraceNode):
         """Keep a problem for the end."""
         if problem not in self.problems:
             self.problems.append(problem)
+
+    @property
+    def enclave(self) -> str:
+        """The node's own, of SROS2, by its argument `--enclave`."""
+        itself = self.get_name(), self.get_namespace()
+        nodes = self.get_node_names_and_namespaces_with_enclaves()
+        return next(enclave for name, namespace, enclave in nodes if (name, namespace) == itself)
 
     def begin(self) -> None:
         """Configure what is held, and activate it once all nodes are matched."""

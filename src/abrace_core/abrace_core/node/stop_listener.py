@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 TOPICS = ("/emergency_stop", "emergency_stop")
 """The whole laboratory's, and the rig's own."""
 
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+"""What the middleware calls a node that has left, or whose name it has not heard: after a cut of its link."""
+
 _DEPTH = 100
 _QOS = (
     QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE),
@@ -116,6 +119,6 @@ class StopListener:
             return known
         for topic in self._topics:
             for one in self._node.get_publishers_info_by_topic(topic):
-                if bytes(one.endpoint_gid) == sender:
+                if bytes(one.endpoint_gid) == sender and one.node_name != _UNKNOWN:
                     return f"{one.node_namespace.rstrip('/')}/{one.node_name}"
-        return "a node that has left"
+        return "a node of unknown name"

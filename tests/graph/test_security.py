@@ -1,0 +1,82 @@
+"""The security policy against the running graph: it allows what the nodes offer and use, or SROS2 would break them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from policy import may, read_policy
+
+from abrace_core.controller_file import Controller, save_controller
+from abrace_core.linear_model import LinearModel
+
+POLICY = Path(__file__).parents[2] / "src/abrace_bringup/config/security_policy.xml"
+LAW = LinearModel(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), ("a1",), ("U",), 0.002)
+SMALL = Controller(
+    "small", LAW, np.zeros((1, 1)), np.zeros((1, 2)), np.array([20e3]), model="none", weights="none", margins="none"
+)
+MARK = "/_action/"
+"""Of the topics and services that an action is made of."""
+
+
+def used(graph, name: str) -> set[tuple[str, str]]:
+    """What a node offers and uses: (`publish`, full name), and so on."""
+    node, namespace = graph.node, graph.namespace
+    if (name, namespace) not in node.get_node_names_and_namespaces():
+        return set()
+    listed = {
+        ("publish", "execute"): node.get_publisher_names_and_types_by_node,
+        ("subscribe", "call"): node.get_subscriber_names_and_types_by_node,
+        ("reply", "execute"): node.get_service_names_and_types_by_node,
+        ("request", "call"): node.get_client_names_and_types_by_node,
+    }
+    return {
+        (of_action, full.partition(MARK)[0]) if MARK in full else (act, full)
+        for (act, of_action), names in listed.items()
+        for full, _ in names(name, namespace)
+    }
+
+
+def expect_allowed(graph, name: str, act: str, last: str, enclave: str = "") -> None:
+    """All that a node offers and uses is in its enclave; `last` comes last."""
+    policy = read_policy(POLICY, graph.namespace)
+    expected = (act, f"{graph.namespace}/{last}")
+    graph.until(lambda: expected in used(graph, name), f"{name} to {act} {last}")
+    found = used(graph, name)
+    refused = {(act, full) for act, full in found if not may(policy[f"/abrace/{enclave or name}"], act, full)}
+    assert not refused, f"{name}: {sorted(refused)} is not in its enclave"
+
+
+def expect_open_to_operators(graph, name: str) -> None:
+    """All services of a node are in the operator's enclave."""
+    operator = read_policy(POLICY, graph.namespace)["/abrace/operator"]
+    served = {full for act, full in used(graph, name) if act == "reply" and not full.endswith("/get_type_description")}
+    assert len(served) > 5
+    closed = {full for full in served if not may(operator, "request", full)}
+    assert not closed, f"{name}: {sorted(closed)} is not in the operator's enclave"
+
+
+def test_the_policy_allows_what_the_nodes_do(graph, tmp_path):
+    enclave = "/abrace/supervisor"
+    graph.start("supervisor", "--enclave", enclave, inputs=["brace_command=controller"], patience=120.0)
+    expect_allowed(graph, "supervisor_monitor", "request", "plant/change_state", enclave="supervisor")
+    expect_allowed(graph, "supervisor", "reply", "supervisor/list_parameters")
+    enclaves = graph.node.get_node_names_and_namespaces_with_enclaves()
+    found = {name: own for name, namespace, own in enclaves if namespace == graph.namespace}
+    assert found == {"test": "/", "supervisor": enclave, "supervisor_monitor": enclave}
+    graph.stop("supervisor")
+    save_controller(SMALL, tmp_path / "small.yaml")
+    graph.start("logger", output=str(tmp_path / "bag"))
+    graph.start("plant", lockstep=True)
+    graph.start("ground_motion")
+    graph.start("excitation")
+    graph.start("controller", "--params-file", tmp_path / "small.yaml")
+    expect_allowed(graph, "plant", "publish", "clock")
+    expect_allowed(graph, "ground_motion", "execute", "play_ground_motion")
+    expect_allowed(graph, "ground_motion", "publish", "ground_motion")
+    expect_allowed(graph, "excitation", "publish", "brace_command")
+    expect_allowed(graph, "controller", "publish", "brace_command")
+    expect_allowed(graph, "logger", "reply", "logger/stop")
+    expect_allowed(graph, "_logger_input", "subscribe", "response", enclave="logger")
+    for name in ("plant", "ground_motion", "excitation", "controller", "logger"):
+        expect_open_to_operators(graph, name)

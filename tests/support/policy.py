@@ -1,0 +1,46 @@
+"""A policy of SROS2, read as `ros2 security create_permission` reads it: who may do what."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+KINDS = {
+    "topics": ("topic", ("publish", "subscribe")),
+    "services": ("service", ("reply", "request")),
+    "actions": ("action", ("execute", "call")),
+}
+"""Lists of a profile: what is in them, and what may be allowed."""
+
+
+def read_policy(path: Path, namespace: str = "/rig") -> dict[str, list[tuple[str, str]]]:
+    """What each enclave may do, by its path: (`publish`, full name or pattern), and so on.
+
+    Parameters
+    ----------
+    path
+        The policy.
+    namespace
+        That stands in the place of /rig.
+    """
+    allowed: dict[str, list[tuple[str, str]]] = {}
+    for enclave in ElementTree.parse(path).iterfind("enclaves/enclave"):
+        rules = allowed.setdefault(enclave.attrib["path"], [])
+        for profile in enclave.iterfind("profiles/profile"):
+            begin = profile.attrib["ns"].replace("/rig", namespace).rstrip("/")
+            own = f"{begin}/{profile.attrib['node']}"
+            for entries in profile:
+                for entry in entries:
+                    name = (entry.text or "").strip()
+                    full = name if name[0] == "/" else own + name[1:] if name[0] == "~" else f"{begin}/{name}"
+                    rules += [(act, full) for act, value in entries.attrib.items() if value == "ALLOW"]
+    return allowed
+
+
+def may(rules: list[tuple[str, str]], act: str, name: str) -> bool:
+    """Whether an enclave with these rules may do that with the topic, service or action of this full name."""
+    return any(act == allowed and fnmatchcase(name, pattern) for allowed, pattern in rules)
