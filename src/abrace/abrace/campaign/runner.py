@@ -14,10 +14,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from abrace.campaign.file import (
     CONTROLLER_FILE,
@@ -29,28 +26,23 @@ from abrace.campaign.file import (
     Validate,
     load_campaign,
 )
+from abrace.campaign.motions import as_given, check_motions
+from abrace.campaign.poles import compare_poles
 from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
 from abrace.processes.group import ProcessGroup, find_executable
 from abrace.processes.parameter_file import parameter_file
 from abrace_bags import read_topics
 from abrace_core.controller_file import load_controller
-from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
-from abrace_core.linear_model import pole_table, save_model
+from abrace_core.linear_model import save_model
 from abrace_core.node import DIAGNOSTICS, find_file
 from abrace_core.progress import Progress
 from abrace_plant.devices.file import calibration_of, load_device
-from abrace_plant.nodes.record_parameters import MOTION_PARAMETERS, motion_as_given
 from abrace_plant.records.files import record_file
 from abrace_plant.rig.file import load_rig
-from abrace_plant.rig.published import PAPER_POLES
-from abrace_sysid.figures.identification import pole_chart
 
 if TYPE_CHECKING:
-    import pydantic
-    from numpy.typing import NDArray
-
     from abrace_core.progress import Step as ShownStep
     from abrace_plant.rig.model import Rig
 
@@ -62,7 +54,6 @@ CHECKS = ("model.json", "superposed.json")
 """Identified models with which a controller has to be stable; the rig's own is another."""
 SEED = 7
 """Seed of the first test's sensor noise; each later test takes the next one."""
-PAPER_RIG = "ncree_three_storey"
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 """Campaigns on the simulated rig stay on this machine, unless the environment says otherwise."""
 
@@ -109,7 +100,13 @@ class _Runner:
             return
         if self.campaign.emulator:
             folder = self.results / "nodes"
-            command = [find_executable("abrace_plant", "emulator"), "--rig", self.rig_file, "--device", self.device_file]
+            command = [
+                find_executable("abrace_plant", "emulator"),
+                "--rig",
+                self.rig_file,
+                "--device",
+                self.device_file,
+            ]
             command += ["--seed", str(seed), "--priority", str(self.campaign.thread_priority)]
             command += ["--log", folder / f"{step}_emulator.json"]
             emulator = group.start("emulator", command, folder / f"{step}_emulator.log", self.environment)
@@ -134,14 +131,14 @@ class _Runner:
         rate, duration = self.rig.sample_rate, test.duration
         if test.excitation:
             inputs["brace_command"] = "excitation"
-            drive = {**_given(test.excitation), "duration": duration, "sample_rate": rate}
+            drive = {**as_given(test.excitation), "duration": duration, "sample_rate": rate}
             nodes.append(("abrace_sysid", "excitation", {**drive, "force_limit": self.rig.capacity.tolist()}))
         if test.controller:
             inputs["brace_command"] = "controller"
             nodes.append(("abrace_lqg", "controller", {"name": test.controller}))
         if test.ground_motion:
             inputs["ground_motion"] = "ground_motion"
-            motion = _given(test.ground_motion)
+            motion = as_given(test.ground_motion)
             drive = {**motion, "rig": str(self.rig_file), "duration": duration, "sample_rate": rate}
             nodes.append(("abrace_plant", "ground_motion", drive))
         if lockstep and not inputs:
@@ -239,7 +236,7 @@ class _Runner:
                         "servo_lag": lag,
                     },
                 )
-                self.show_poles(name)
+                compare_poles(self.results, name, self.rig, self.campaign.simulated)
             case Design(model=model, weights=weights):
                 self.run_offline(
                     name,
@@ -277,24 +274,6 @@ class _Runner:
         path = self.results / "rig.json"
         save_model(self.rig.model, path)
         return path
-
-    def show_poles(self, step: str) -> None:
-        """Compare the identified poles with the rig's own and the paper's: poles.json and a chart."""
-        found = json.loads((self.results / step / "poles.json").read_text(encoding="utf-8"))
-        identified = {
-            test: [{key: pair[key] for key in ("frequency", "damping_ratio")} for pair in found[test]]
-            for test in ("table", "command")
-        }
-        own = self.rig.model.poles() if self.campaign.simulated else np.array([])
-        pairs = [{"frequency": w, "damping_ratio": damping} for w, damping in pole_table(own)]
-        poles = {test: {"identified": found, "true": pairs[: len(found)]} for test, found in identified.items()}
-        write_text(self.results / "poles.json", json.dumps(poles, indent=1))
-        highest = 1.2 * max(pair["frequency"] for pair in identified["command"])
-        reference = {"rig": own[np.abs(own) < highest]} if own.size else {}
-        if self.rig.name == PAPER_RIG:
-            reference["paper, A1 and A2"] = np.concatenate([PAPER_POLES["table"], PAPER_POLES["command"]])
-        chart = pole_chart({f"{test} test": _complex(found) for test, found in identified.items()}, reference)
-        save_figure(chart, self.results / step / "poles.png")
 
     def facts(self, name: str, test: RigTest, seed: int) -> dict[str, str]:
         """What a test's bag says of its run."""
@@ -351,34 +330,6 @@ class _Runner:
         write_text(self.results / "timing.json", json.dumps(timing, indent=1))
 
 
-def _complex(pairs: list[dict[str, float]]) -> NDArray[np.complex128]:
-    frequency, damping = (np.array([pair[key] for pair in pairs]) for key in ("frequency", "damping_ratio"))
-    return frequency * (-damping + 1j * np.sqrt(1 - damping**2))
-
-
-def _given(drive: pydantic.BaseModel) -> dict[str, Any]:
-    """A signal or record of the campaign file as parameters of its node, whose names are the same."""
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in drive.model_dump().items()}
-
-
-def _check_motions(campaign: Campaign, rig: Rig) -> None:
-    """Refuse a campaign with a ground motion that the table cannot play, before its first test."""
-    checked: list[tuple[object, float]] = []
-    for step in campaign.steps:
-        test = step.task
-        if not isinstance(test, RigTest) or test.ground_motion is None:
-            continue
-        if (test.ground_motion, test.duration) in checked:
-            continue
-        given = {row.name: row.default for row in MOTION_PARAMETERS} | _given(test.ground_motion)
-        values = SimpleNamespace(**given | {"sample_rate": rig.sample_rate})
-        try:
-            motion_as_given(values, rig.table, values.record, values.peak_acceleration, test.duration)
-        except AbraceError as error:
-            raise AbraceError(f"step {step.name}: {error}") from error
-        checked.append((test.ground_motion, test.duration))
-
-
 def run_campaign(path: Path) -> Path:
     """Run every step of a campaign file; returns the folder of its results.
 
@@ -394,7 +345,7 @@ def run_campaign(path: Path) -> Path:
     if campaign.device is not None:
         device_file = find_file(campaign.device, "abrace_plant", "config/devices", ".yaml", "device").resolve()
         load_device(device_file, rig)
-    _check_motions(campaign, rig)
+    check_motions(campaign, rig)
     results = Path("results") / campaign.name
     bags = Path("bags") / campaign.name / datetime.now().strftime("%Y%m%d-%H%M%S")
     shutil.rmtree(results, ignore_errors=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 
@@ -10,7 +11,7 @@ from std_srvs.srv import Trigger
 from abrace_core.errors import AbraceError
 from abrace_core.node import Parameter, find_file, run
 from abrace_plant.devices.calibration import Calibration, write_calibration
-from abrace_plant.devices.device import Device
+from abrace_plant.devices.device import Device, DeviceError
 from abrace_plant.devices.file import calibration_of, channels_of, commands_of, load_device
 from abrace_plant.devices.zeroing import Zeroing, check_names
 from abrace_plant.live.loop import Sample
@@ -24,6 +25,8 @@ PARAMETERS = [
 ZEROS_TIME = 0.2
 """Seconds of commands of zero before the first sample: longer than a target takes to come to rest after a bridge that
 was killed. A target follows what comes after a zero alone."""
+WARM_UP = 5
+"""Samples that the thread of a run takes before the first one that is published."""
 ZEROING_TIME = 1.0
 """Seconds of readings whose mean is zeroed."""
 PATIENCE = 2.0
@@ -58,12 +61,21 @@ class SensorBridge(RigNode):
         """Connect, and command zero until the target follows."""
         self.device.open()
         try:
-            for _ in range(round(ZEROS_TIME * self.rig.sample_rate)):
-                self.device.exchange([0.0] * self.rig.groups, 0.0)
+            self.command_zero(round(ZEROS_TIME * self.rig.sample_rate))
         except AbraceError:
             self.device.make_safe()
             self.device.close()
             raise
+
+    def prepare(self) -> None:
+        """Be at a tick of the device: samples have come since it was opened."""
+        with contextlib.suppress(DeviceError):  # which the first sample will find as well
+            self.command_zero(WARM_UP)
+
+    def command_zero(self, samples: int) -> None:
+        """Exchange so many samples for commands of zero."""
+        for _ in range(samples):
+            self.device.exchange([0.0] * self.rig.groups, 0.0)
 
     def publish_sample(self, sample: Sample) -> None:
         """Publish a sample, and keep it where sensors are being zeroed."""
