@@ -85,7 +85,7 @@ class Watch(JitterNode):
 
 def start(group: ProcessGroup, name: str, package: str, *arguments: object) -> NodeProcess:
     """Start a program; its log is in the present folder."""
-    command = [find_executable(package, name), *map(str, arguments)]
+    command: list[str | Path] = [find_executable(package, name), *map(str, arguments)]
     return group.start(name, command, f"{name}.log")
 
 

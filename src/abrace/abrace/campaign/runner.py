@@ -100,13 +100,8 @@ class _Runner:
             return
         if self.campaign.emulator:
             folder = self.results / "nodes"
-            command = [
-                find_executable("abrace_plant", "emulator"),
-                "--rig",
-                self.rig_file,
-                "--device",
-                self.device_file,
-            ]
+            program = find_executable("abrace_plant", "emulator")
+            command: list[str | Path] = [program, "--rig", self.rig_file, "--device", self.device_file]
             command += ["--seed", str(seed), "--priority", str(self.campaign.thread_priority)]
             command += ["--log", folder / f"{step}_emulator.json"]
             emulator = group.start("emulator", command, folder / f"{step}_emulator.log", self.environment)
