@@ -40,6 +40,8 @@ NODES = {
         "plant": "Takes `brace_command`, `ground_motion`, `emergency_stop`, `/emergency_stop`; publishes `response`, "
         "`joint_states`, `robot_description`, in lockstep `clock` (rosgraph_msgs/Clock). Service `~/clear_fault` "
         "(std_srvs/Trigger).",
+        "sensor_bridge": "Takes and publishes what `plant` does, but for `clock`. Services `~/clear_fault`, "
+        "`~/zero_sensors` (std_srvs/Trigger): bridge.md.",
         "ground_motion": "Takes `response`; publishes `ground_motion`. Action `play_ground_motion`, service "
         "`~/clear_fault`.",
         "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",

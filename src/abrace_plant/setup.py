@@ -26,6 +26,7 @@ setup(
             "characterize = abrace_core.executable:main",
             "robot_description = abrace_core.executable:main",
             "check_sensors = abrace_core.executable:main",
+            "sensor_bridge = abrace_core.executable:main",
             "emulator = abrace_core.executable:main",
             "jitter = abrace_core.executable:main",
         ]

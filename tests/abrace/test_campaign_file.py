@@ -53,10 +53,31 @@ def test_the_campaign_of_five_controllers_tries_each_under_both_motions():
             )
 
 
+def test_the_demo_through_the_bridge_is_the_demo_in_real_time_with_shorter_tests():
+    demo, bridge = load_campaign(DEMO), load_campaign(DEMO.with_name("demo_bridge.yaml"))
+    assert (bridge.device, bridge.emulator, bridge.simulated, bridge.lockstep) == ("emulator", True, True, False)
+    assert demo.simulated
+
+    def shortened(task):
+        return task.model_copy(update={"duration": 0.0}) if isinstance(task, RigTest) else task
+
+    assert [(step.name, shortened(step.task)) for step in bridge.steps] == [
+        (step.name, shortened(step.task)) for step in demo.steps
+    ]
+    assert sum(step.task.duration for step in bridge.steps if isinstance(step.task, RigTest)) >= 160.0
+
+
+def test_behind_a_device_without_the_emulator_nobody_knows_the_rig(tmp_path):
+    path = tmp_path / "campaign.yaml"
+    path.write_text("name: real\nrig: rig.yaml\ndevice: own.yaml\nsteps: [{name: rest, test: {duration: 5}}]")
+    campaign = load_campaign(path)
+    assert (campaign.device, campaign.simulated, campaign.thread_priority) == ("own.yaml", False, 0)
+
+
 def test_a_campaign_that_nobody_has_is_named_with_those_that_there_are(capsys):
     assert main(["campaign", "six_controllers"]) == 2
     assert "campaign 'six_controllers': unknown, expected" in (said := capsys.readouterr().err)
-    assert "demo, five_controllers" in said
+    assert "demo, demo_bridge, five_controllers" in said
 
 
 def test_a_test_may_run_a_controller_file_that_no_step_designed(tmp_path):
@@ -102,6 +123,9 @@ def test_any_test_may_be_set_beside_its_simulation(tmp_path):
 
 # what in the demo is replaced, by what, and what the error says after "campaign file <path>: "
 MISTAKES = [
+    ("lockstep: true", "lockstep: true\ndevice: emulator", "lockstep: true, expected false with a device"),
+    ("lockstep: true", "emulator: true", "emulator: true, expected a device that is emulated"),
+    ("lockstep: true", "thread_priority: 99", "thread_priority: 99, expected .*98"),
     ("lockstep: true", "lockstep: 1", "lockstep: 1, expected .*boolean"),
     ("name: demo", "name: ../demo", "name: '../demo', expected .*letters, digits"),
     ("name: demo", "nome: demo", "nome: unknown key"),

@@ -109,6 +109,21 @@ def test_summary_holds_wall_seconds_and_samples_per_second(tmp_path):
     assert timing["samples_per_second_of_test"] == {"table_noise": 3000.0, "controlled": 5000.0}
     assert timing["samples_per_second"] == 3400.0, "170000 samples in 50 s"
     assert timing["real_time_factor"] == pytest.approx(6.8)
+    assert "lost_samples" not in timing, "in lockstep none can be"
+
+
+def test_of_tests_in_real_time_lost_samples_and_missed_deadlines_are_reported(tmp_path):
+    results = example()
+    results["timing.json"]["lockstep"] = False
+    for index, lost, missed in ((0, 0, 3), (3, 2, 40)):
+        results["timing.json"]["steps"][index] |= {"lost_samples": lost, "missed_deadlines": missed}
+    text, summary = reported(tmp_path, results)
+    assert summary["timing"]["lost_samples"] == {"table_noise": 0, "controlled": 2}
+    assert summary["timing"]["missed_deadlines"] == {"table_noise": 3, "controlled": 40}
+    title = "Timing, in real time"
+    assert row(text, title, "controlled")[-2:] == ["2", "40"]
+    assert row(text, title, "model")[-2:] == ["-", "-"]
+    assert row(text, title, "all")[-2:] == ["2", "43"]
 
 
 def test_tables_set_the_results_beside_the_papers(tmp_path):

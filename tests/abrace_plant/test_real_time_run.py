@@ -134,9 +134,10 @@ def test_a_device_that_fails_is_a_fault_and_is_still_sent_the_way_to_rest(rig):
     assert force.max() == 5000.0
     assert force[-1] == 0.0
     assert (np.diff(force[np.argmax(force == 5000.0) :]) <= 0).all()
+    assert not device.safe, "the way to rest is ours"
     bench.end()
+    assert device.safe
     assert device.closed
-    assert not device.safe
 
 
 def test_an_error_in_the_run_makes_the_device_safe_and_is_told(rig):

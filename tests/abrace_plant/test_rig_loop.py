@@ -200,6 +200,20 @@ def test_a_rig_that_was_held_up_is_a_fault_and_its_samples_are_missing(bench):
     assert bench.loop.missed == 1021
 
 
+def test_a_run_begins_with_its_first_sample_whatever_was_missed_before(bench):
+    assert bench.loop.take(reading(bench, 7)).head.sequence == 0
+    assert bench.loop.take(reading(bench, 7)).head.sequence == 8
+    assert bench.loop.missed == 7
+
+
+def test_samples_that_a_device_did_not_give_are_missing(bench):
+    bench.drive([0.0] * 5)
+    bench.loop.fail("no packet for 20 ms", 10)
+    assert bench.safety.cause == "no packet for 20 ms"
+    assert bench.loop.take(reading(bench)).head.sequence == 15
+    assert bench.loop.missed == 10
+
+
 def test_samples_that_are_late_in_a_row_are_a_fault(bench):
     bench.drive([500.0] * 3)
     for _ in range(3):

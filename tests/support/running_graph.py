@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 PATIENCE = 30.0
 PACKAGES = {
     "plant": "abrace_plant",
+    "sensor_bridge": "abrace_plant",
     "ground_motion": "abrace_plant",
     "logger": "abrace_bags",
     "replay": "abrace_bags",
@@ -45,7 +46,7 @@ PACKAGES = {
     "controller": "abrace_lqg",
     "supervisor": "abrace",
 }
-STREAMING = ("plant", "ground_motion", "excitation", "controller")
+STREAMING = ("plant", "sensor_bridge", "ground_motion", "excitation", "controller")
 TRANSITIONS = {
     "configure": Transition.TRANSITION_CONFIGURE,
     "activate": Transition.TRANSITION_ACTIVATE,

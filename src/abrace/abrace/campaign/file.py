@@ -179,7 +179,10 @@ class _Step(Checked):
 class _Campaign(Checked):
     name: Name
     rig: Text
+    device: Text | None = None
+    emulator: Annotated[bool, pydantic.Field(strict=True)] = False
     lockstep: Annotated[bool, pydantic.Field(strict=True)] = False
+    thread_priority: Annotated[int, pydantic.Field(ge=0, le=98, strict=True)] = 0
     steps: Annotated[list[_Step], pydantic.Field(min_length=1)]
 
 
@@ -205,12 +208,26 @@ class Campaign:
         Whether tests run in lockstep rather than in real time.
     steps
         In the order in which they are made.
+    device
+        Name or file of the device that the rig is behind; None: the rig is simulated.
+    emulator
+        Whether the emulator is that device.
+    thread_priority
+        Of the loops of nodes and emulator; 0: none.
     """
 
     name: str
     rig: str
     lockstep: bool
     steps: tuple[Step, ...]
+    device: str | None = None
+    emulator: bool = False
+    thread_priority: int = 0
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the rig is what the rig file says."""
+        return self.device is None or self.emulator
 
 
 def load_campaign(path: Path | str) -> Campaign:
@@ -222,6 +239,12 @@ def load_campaign(path: Path | str) -> Campaign:
         Naming the file, the step, the key, the value and what was expected.
     """
     content = read_config(path, _Campaign, "campaign")
+    if content.emulator and content.device is None:
+        raise AbraceError(f"campaign file {path}: emulator: true, expected a device that is emulated")
+    if content.lockstep and content.device is not None:
+        raise AbraceError(
+            f"campaign file {path}: lockstep: true, expected false with a device: hardware has a tick of its own"
+        )
     earlier: dict[str, Task] = {}
     for step in content.steps:
         where = f"campaign file {path}: step {step.name}"
@@ -233,7 +256,9 @@ def load_campaign(path: Path | str) -> Campaign:
         _check_references(where, tasks[0], earlier)
         earlier[step.name] = tasks[0]
     steps = tuple(Step(name, task) for name, task in earlier.items())
-    return Campaign(content.name, content.rig, content.lockstep, steps)
+    return Campaign(
+        content.name, content.rig, content.lockstep, steps, content.device, content.emulator, content.thread_priority
+    )
 
 
 Kind = TypeVar("Kind", RigTest, Identify, Design)

@@ -14,10 +14,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from abrace.campaign.file import (
     CONTROLLER_FILE,
@@ -29,26 +26,23 @@ from abrace.campaign.file import (
     Validate,
     load_campaign,
 )
+from abrace.campaign.motions import as_given, check_motions
+from abrace.campaign.poles import compare_poles
 from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
 from abrace.processes.group import ProcessGroup, find_executable
 from abrace.processes.parameter_file import parameter_file
+from abrace_bags import read_topics
 from abrace_core.controller_file import load_controller
-from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
-from abrace_core.linear_model import pole_table, save_model
+from abrace_core.linear_model import save_model
 from abrace_core.node import DIAGNOSTICS, find_file
 from abrace_core.progress import Progress
-from abrace_plant.nodes.record_parameters import MOTION_PARAMETERS, motion_as_given
+from abrace_plant.devices.file import calibration_of, load_device
 from abrace_plant.records.files import record_file
 from abrace_plant.rig.file import load_rig
-from abrace_plant.rig.published import PAPER_POLES
-from abrace_sysid.figures.identification import pole_chart
 
 if TYPE_CHECKING:
-    import pydantic
-    from numpy.typing import NDArray
-
     from abrace_core.progress import Step as ShownStep
     from abrace_plant.rig.model import Rig
 
@@ -60,7 +54,6 @@ CHECKS = ("model.json", "superposed.json")
 """Identified models with which a controller has to be stable; the rig's own is another."""
 SEED = 7
 """Seed of the first test's sensor noise; each later test takes the next one."""
-PAPER_RIG = "ncree_three_storey"
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 """Campaigns on the simulated rig stay on this machine, unless the environment says otherwise."""
 
@@ -74,6 +67,7 @@ class _Runner:
     rig_file: Path
     results: Path
     bags: Path
+    device_file: Path | None = None
     timing: list[dict[str, Any]] = field(default_factory=list)
 
     @property
@@ -82,20 +76,41 @@ class _Runner:
         single = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         return {**{key: value for key, value in LOCAL.items() if key not in os.environ}, **single}
 
-    def start(self, group: ProcessGroup, step: str, package: str, executable: str, parameters: dict[str, Any]) -> None:
-        """Start a node with these parameters."""
-        folder = self.results / "nodes"
-        parameters_path = parameter_file(folder / f"{step}_{executable}.yaml", parameters)
+    def start(
+        self, group: ProcessGroup, step: str, package: str, executable: str, parameters: dict[str, Any], name: str = ""
+    ) -> None:
+        """Start a node with these parameters; `name` where it is to be called otherwise."""
+        folder, name = self.results / "nodes", name or executable
+        parameters_path = parameter_file(folder / f"{step}_{name}.yaml", parameters)
         command: list[str | Path] = [
             find_executable(package, executable),
             "--ros-args",
             "--params-file",
             parameters_path,
         ]
-        command += ["-r", f"__ns:=/{self.campaign.name}"]
+        command += ["-r", f"__ns:=/{self.campaign.name}", *(["-r", f"__node:={name}"] if name != executable else [])]
         if executable == "controller":
             command += ["--params-file", self.controller_file(parameters["name"])]
-        group.start(executable, command, folder / f"{step}_{executable}.log", self.environment)
+        group.start(name, command, folder / f"{step}_{name}.log", self.environment)
+
+    def start_rig(self, group: ProcessGroup, step: str, seed: int, parameters: dict[str, Any]) -> None:
+        """Start the rig, whose node is called `plant` whatever it is, and the emulator behind it."""
+        if self.device_file is None:
+            self.start(group, step, "abrace_plant", "plant", {"seed": seed, **parameters})
+            return
+        if self.campaign.emulator:
+            folder = self.results / "nodes"
+            program = find_executable("abrace_plant", "emulator")
+            command: list[str | Path] = [program, "--rig", self.rig_file, "--device", self.device_file]
+            command += ["--seed", str(seed), "--priority", str(self.campaign.thread_priority)]
+            command += ["--log", folder / f"{step}_emulator.json"]
+            emulator = group.start("emulator", command, folder / f"{step}_emulator.log", self.environment)
+            while "emulator: ticking" not in emulator.last_lines():
+                time.sleep(0.05)
+                group.raise_if_died()
+        self.start(
+            group, step, "abrace_plant", "sensor_bridge", {"device": str(self.device_file), **parameters}, "plant"
+        )
 
     def controller_file(self, controller: str) -> Path:
         """A controller's file: given as one, or where the design step of that name puts it."""
@@ -111,14 +126,14 @@ class _Runner:
         rate, duration = self.rig.sample_rate, test.duration
         if test.excitation:
             inputs["brace_command"] = "excitation"
-            drive = {**_given(test.excitation), "duration": duration, "sample_rate": rate}
+            drive = {**as_given(test.excitation), "duration": duration, "sample_rate": rate}
             nodes.append(("abrace_sysid", "excitation", {**drive, "force_limit": self.rig.capacity.tolist()}))
         if test.controller:
             inputs["brace_command"] = "controller"
             nodes.append(("abrace_lqg", "controller", {"name": test.controller}))
         if test.ground_motion:
             inputs["ground_motion"] = "ground_motion"
-            motion = _given(test.ground_motion)
+            motion = as_given(test.ground_motion)
             drive = {**motion, "rig": str(self.rig_file), "duration": duration, "sample_rate": rate}
             nodes.append(("abrace_plant", "ground_motion", drive))
         if lockstep and not inputs:
@@ -133,29 +148,38 @@ class _Runner:
             "facts": [f"{key}={value}" for key, value in facts.items()],
             "attachments": [str(path) for path in self.attachments(test)],
         }
-        plant = {
-            "rig": str(self.rig_file),
-            "seed": seed,
-            "duration": duration,
-            "lockstep": lockstep,
-            "wait_for": list(inputs) or ["brace_command"],
-            "autostart": False,
-        }
+        loop = {"thread_priority": self.campaign.thread_priority} if self.campaign.thread_priority else {}
+        rig = {"rig": str(self.rig_file), "duration": duration, "autostart": False, **loop}
+        if lockstep:
+            rig |= {"lockstep": True, "wait_for": list(inputs)}
         samples = round(duration * rate)
         with ProcessGroup() as group, GraphMonitor(f"/{self.campaign.name}", ("plant",)) as monitor:
             self.start(group, name, "abrace_bags", "logger", logger)
-            self.start(group, name, "abrace_plant", "plant", plant)
+            self.start_rig(group, name, seed, rig)
             for package, executable, parameters in nodes:
-                self.start(group, name, package, executable, parameters)
+                self.start(group, name, package, executable, parameters | loop)
             monitor.configure("plant", PATIENCE, group.raise_if_died)
             monitor.wait_until_matched(expected_matches(inputs), PATIENCE, group.raise_if_died)
             monitor.activate("plant", PATIENCE, group.raise_if_died)
-            run_seconds = self.watch(group, monitor, samples, shown)
+            run_seconds, done = self.watch(group, monitor, samples, shown)
             group.stop_all([*inputs.values(), "plant", "logger"])
-        return {"samples": samples, "run_seconds": run_seconds}
+        counts = {"samples": samples, "run_seconds": run_seconds}
+        return counts if lockstep else {**counts, **self.losses(bag, done)}
 
-    def watch(self, group: ProcessGroup, monitor: GraphMonitor, samples: int, shown: ShownStep) -> float:
-        """Show a test's progress until the plant ends; returns the duration that it reports [s]."""
+    def losses(self, bag: Path, done: str) -> dict[str, int]:
+        """Samples of a run by the clock that are not in the bag, and answers that did not act from the next sample on.
+
+        `done` is what the rig has printed at the end.
+        """
+        found = re.search(r"done: ([0-9]+) samples, ([0-9]+) late answers", done)
+        if found is None:
+            raise AbraceError(f"the rig ended with {done!r}, expected its counts")
+        topic = f"/{self.campaign.name}/response"
+        recorded = read_topics(bag, [topic])[topic].log_time.size
+        return {"lost_samples": int(found[1]) - int(recorded), "missed_deadlines": int(found[2])}
+
+    def watch(self, group: ProcessGroup, monitor: GraphMonitor, samples: int, shown: ShownStep) -> tuple[float, str]:
+        """Show a test's progress until the plant ends; returns its duration [s] and its last lines."""
         begin = last_news = time.monotonic()
         last_sequence = -1
         while (ended := group.poll()) is None:
@@ -173,10 +197,11 @@ class _Runner:
         group.raise_if_died(may_finish=["plant"])
         if ended.name != "plant":
             raise ended.died()
-        reported = re.search(r"samples in ([0-9.]+) s", "\n".join(ended.last_lines()))
+        done = "\n".join(ended.last_lines())
+        reported = re.search(r"samples in ([0-9.]+) s", done)
         seconds = float(reported[1]) if reported else time.monotonic() - begin
         shown.update(1.0, f"{samples / self.rig.sample_rate / seconds:.1f} x real time")
-        return seconds
+        return seconds, done
 
     def run_offline(self, name: str, package: str, executable: str, parameters: dict[str, Any]) -> None:
         """Run an offline node to its end."""
@@ -206,7 +231,7 @@ class _Runner:
                         "servo_lag": lag,
                     },
                 )
-                self.show_poles(name)
+                compare_poles(self.results, name, self.rig, self.campaign.simulated)
             case Design(model=model, weights=weights):
                 self.run_offline(
                     name,
@@ -214,7 +239,10 @@ class _Runner:
                     "design",
                     {
                         "model": str(self.design_model(task)),
-                        "check_models": [*(str(self.results / model / name) for name in CHECKS), str(self.rig_model())],
+                        "check_models": [
+                            *(str(self.results / model / name) for name in CHECKS),
+                            *([str(self.rig_model())] if self.campaign.simulated else []),
+                        ],
                         "weights": weights,
                         "sample_period": 1 / self.rig.sample_rate,
                         "force_limit": limit,
@@ -242,23 +270,6 @@ class _Runner:
         save_model(self.rig.model, path)
         return path
 
-    def show_poles(self, step: str) -> None:
-        """Compare the identified poles with the rig's own and the paper's: poles.json and a chart."""
-        found = json.loads((self.results / step / "poles.json").read_text(encoding="utf-8"))
-        identified = {
-            test: [{key: pair[key] for key in ("frequency", "damping_ratio")} for pair in found[test]]
-            for test in ("table", "command")
-        }
-        own = self.rig.model.poles()
-        pairs = [{"frequency": w, "damping_ratio": damping} for w, damping in pole_table(own)]
-        poles = {test: {"identified": found, "true": pairs[: len(found)]} for test, found in identified.items()}
-        write_text(self.results / "poles.json", json.dumps(poles, indent=1))
-        reference = {"rig": own[np.abs(own) < 1.2 * max(pair["frequency"] for pair in identified["command"])]}
-        if self.rig.name == PAPER_RIG:
-            reference["paper, A1 and A2"] = np.concatenate([PAPER_POLES["table"], PAPER_POLES["command"]])
-        chart = pole_chart({f"{test} test": _complex(found) for test, found in identified.items()}, reference)
-        save_figure(chart, self.results / step / "poles.png")
-
     def facts(self, name: str, test: RigTest, seed: int) -> dict[str, str]:
         """What a test's bag says of its run."""
         facts = {
@@ -269,9 +280,12 @@ class _Runner:
             "rig_file": self.rig_file.read_text(encoding="utf-8"),
             "sample_period": repr(1 / self.rig.sample_rate),
             "lockstep": str(self.campaign.lockstep).lower(),
-            "sensor_seed": str(seed),
             "controller": Path(test.controller).stem if test.controller else "",
         }
+        if self.campaign.simulated:
+            facts["sensor_seed"] = str(seed)
+        if self.device_file is not None:
+            facts["device"] = str(self.device_file)
         if test.controller:
             path = self.controller_file(test.controller)
             load_controller(path)
@@ -287,8 +301,10 @@ class _Runner:
         return facts
 
     def attachments(self, test: RigTest) -> list[Path]:
-        """The files that a test is made of, which go into its bag: rig, controller, its model, record."""
+        """The files that a test is made of, which go into its bag: rig, device, controller, its model, record."""
         paths = [self.rig_file]
+        if self.device_file is not None:
+            paths += [path for path in (self.device_file, calibration_of(self.device_file)) if path is not None]
         if test.controller:
             paths.append(self.controller_file(test.controller))
             for step in self.campaign.steps:
@@ -309,34 +325,6 @@ class _Runner:
         write_text(self.results / "timing.json", json.dumps(timing, indent=1))
 
 
-def _complex(pairs: list[dict[str, float]]) -> NDArray[np.complex128]:
-    frequency, damping = (np.array([pair[key] for pair in pairs]) for key in ("frequency", "damping_ratio"))
-    return frequency * (-damping + 1j * np.sqrt(1 - damping**2))
-
-
-def _given(drive: pydantic.BaseModel) -> dict[str, Any]:
-    """A signal or record of the campaign file as parameters of its node, whose names are the same."""
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in drive.model_dump().items()}
-
-
-def _check_motions(campaign: Campaign, rig: Rig) -> None:
-    """Refuse a campaign with a ground motion that the table cannot play, before its first test."""
-    checked: list[tuple[object, float]] = []
-    for step in campaign.steps:
-        test = step.task
-        if not isinstance(test, RigTest) or test.ground_motion is None:
-            continue
-        if (test.ground_motion, test.duration) in checked:
-            continue
-        given = {row.name: row.default for row in MOTION_PARAMETERS} | _given(test.ground_motion)
-        values = SimpleNamespace(**given | {"sample_rate": rig.sample_rate})
-        try:
-            motion_as_given(values, rig.table, values.record, values.peak_acceleration, test.duration)
-        except AbraceError as error:
-            raise AbraceError(f"step {step.name}: {error}") from error
-        checked.append((test.ground_motion, test.duration))
-
-
 def run_campaign(path: Path) -> Path:
     """Run every step of a campaign file; returns the folder of its results.
 
@@ -348,12 +336,16 @@ def run_campaign(path: Path) -> Path:
     campaign = load_campaign(path)
     rig_file = find_file(campaign.rig, "abrace_plant", "config", ".yaml", "rig").resolve()
     rig = load_rig(rig_file)
-    _check_motions(campaign, rig)
+    device_file = None
+    if campaign.device is not None:
+        device_file = find_file(campaign.device, "abrace_plant", "config/devices", ".yaml", "device").resolve()
+        load_device(device_file, rig)
+    check_motions(campaign, rig)
     results = Path("results") / campaign.name
     bags = Path("bags") / campaign.name / datetime.now().strftime("%Y%m%d-%H%M%S")
     shutil.rmtree(results, ignore_errors=True)
     results.mkdir(parents=True)
-    runner = _Runner(campaign, rig, rig_file, results, bags)
+    runner = _Runner(campaign, rig, rig_file, results, bags, device_file)
     progress = Progress(len(campaign.steps))
     for number, step in enumerate(campaign.steps):
         with progress.step(step.name) as shown:

@@ -21,7 +21,9 @@ bag does not say::
      "clipped": {"measured": {"a2": 14}, "uncontrolled": {}},
      "other_models": {"reduced": {"simulated_vs_measured": {...}, "peak_rms_error": 0.03}, ...}}
 
-timing.json, from the campaign; `samples` and `run_seconds` (from the first sample to the last) for tests alone::
+timing.json, from the campaign; `samples` and `run_seconds` (from the first sample to the last) for tests alone; of
+tests in real time `lost_samples`, which are not in the bag, and `missed_deadlines`, answers that came too late to act
+from the next sample on::
 
     {"lockstep": true, "sample_rate": 500.0,
      "steps": [{"name": "table_noise", "wall_seconds": 41.3, "samples": 120000, "run_seconds": 38.0},
@@ -134,6 +136,8 @@ class StepTiming(Checked):
     wall_seconds: NonNegative
     samples: Annotated[int, pydantic.Field(ge=1)] | None = None
     run_seconds: Positive | None = None
+    lost_samples: int | None = None
+    missed_deadlines: Count | None = None
 
 
 class Timing(Checked):

@@ -82,6 +82,11 @@ def timing_summary(timing: Timing) -> dict[str, Any]:
         "samples_per_second_of_test": {name: count / run_seconds for name, count, run_seconds in tests},
         "samples_per_second": samples / seconds if tests else None,
         "real_time_factor": samples / seconds / timing.sample_rate if tests else None,
+        **{
+            key: {step.name: getattr(step, key) for step in timing.steps if getattr(step, key) is not None}
+            for key in ("lost_samples", "missed_deadlines")
+            if not timing.lockstep
+        },
     }
 
 

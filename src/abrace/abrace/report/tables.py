@@ -186,17 +186,21 @@ def _timing_table(timing: Timing) -> Table:
     summary = timing_summary(timing)
     speeds = summary["samples_per_second_of_test"]
 
+    losses = [summary[key] for key in ("lost_samples", "missed_deadlines") if not timing.lockstep]
+
     def row(name: str, seconds: float, speed: float | None) -> tuple[str, ...]:
+        counts = [sum(loss.values()) if name == "all" else loss.get(name) for loss in losses]
         return (
             name,
             f"{seconds:.1f}",
             _number(speed, ".0f"),
             _number(speed and speed / timing.sample_rate, ".2f"),
+            *(_number(count, "d") for count in counts),
         )
 
     return Table(
         f"Timing, {'in lockstep' if timing.lockstep else 'in real time'}",
-        ("step", "wall s", "samples/s", "x real time"),
+        ("step", "wall s", "samples/s", "x real time", *(("lost samples", "missed deadlines") if losses else ())),
         (
             *(row(step.name, step.wall_seconds, speeds.get(step.name)) for step in timing.steps),
             row("all", summary["total_wall_seconds"], summary["samples_per_second"]),

@@ -192,6 +192,16 @@ class Calibration:
         """(commands,) SI values of a device's `outputs`: the inverse of the method `outputs`."""
         return (np.asarray(outputs) - self._command_offset) * self._command_scale
 
+    def facts(self) -> dict[str, str]:
+        """For people: what a raw unit of each channel is, its offset, and its lag."""
+        if self.file is None:
+            return {}
+        return {
+            name: f"{self.file.channels[name].sign * self.file.channels[name].gain:g} {self.file.channels[name].unit}, "
+            f"offset {self.file.channels[name].offset:g}, lag {1e3 * lag:.2f} ms"
+            for name, lag in zip(self.channels, self.lag, strict=True)
+        }
+
     @property
     def range(self) -> NDArray[np.float64]:
         """(channels,) greatest magnitude in SI units that a channel reads on both sides; infinite without a file."""

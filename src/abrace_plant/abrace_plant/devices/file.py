@@ -90,6 +90,18 @@ def kind_of(path: Path | str) -> str:
     return read_config(path, _AnyDevice, "device").kind
 
 
+def calibration_of(path: Path | str) -> Path | None:
+    """The calibration file that a device file names.
+
+    Raises
+    ------
+    AbraceError
+        If it is no device file.
+    """
+    named = read_config(path, _AnyDevice, "device").calibration
+    return None if named is None else Path(path).parent / named
+
+
 def channels_of(rig: Rig) -> tuple[str, ...]:
     """Names of the `rig`'s measured channels, in the order of a reading: z, then the ground acceleration w."""
     return (*signals.response_names(rig.floors, rig.groups), signals.GROUND)

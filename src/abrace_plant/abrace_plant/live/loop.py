@@ -223,9 +223,10 @@ class RigLoop:
 
     def take(self, reading: Reading) -> Sample:
         """The sample that the device has given as a `reading`."""
-        self.sequence += 1 + reading.missed
+        missed = reading.missed if self.sequence >= 0 else 0  # what was before the first sample is not of this run
+        self.sequence += 1 + missed
         self._stamps.append((reading.stamp, self.sequence))
-        self.missed += reading.missed
+        self.missed += missed
         self.late += reading.late
         self._late_in_a_row = self._late_in_a_row + 1 if reading.late else 0
         clipped = reading.clipped | self._over_range.check(reading.values)
@@ -234,7 +235,7 @@ class RigLoop:
                 self.clipped[name] += clipped >> i & 1
         self._look_at(reading, clipped)
         if any(any(output.value) for output in self._safety.outputs):
-            self._look_for_delays(reading.missed)
+            self._look_for_delays(missed)
         return self._sample(reading, clipped)
 
     def _look_at(self, reading: Reading, clipped: int) -> None:
@@ -276,10 +277,17 @@ class RigLoop:
         """Take the next sample at once."""
         return self.take(self._device.exchange(*self.act()))
 
-    def fail(self, problem: str) -> None:
-        """The device has given no sample, because of a `problem`."""
+    def fail(self, problem: str, samples: int) -> None:
+        """The device has given none of so many `samples`, because of a `problem`."""
+        self.sequence += samples
+        self.missed += samples
         self._safety.fault(problem)
         self.ended = self.ending and self._safety.at_rest
+
+    @property
+    def missed_deadlines(self) -> int:
+        """Answers so far that came too late to act from the next sample on."""
+        return sum(one.late for one in self._inputs.values())
 
     def counters(self) -> dict[str, int]:
         """Counts of limited, late and missed samples and inputs so far."""

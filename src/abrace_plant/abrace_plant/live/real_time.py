@@ -65,8 +65,9 @@ class RealTimeRun(threading.Thread):
             self._run()
         except BaseException as error:
             self.error = error
-            self._device.make_safe()
         finally:
+            # at rest already, but a target that is told need not wait until the commands stay away
+            self._device.make_safe()
             self._device.close()
             self._over()
 
@@ -84,7 +85,7 @@ class RealTimeRun(threading.Thread):
                 now = monotonic()
                 last, samples = now, max(1, round((now - last) / period))
                 with self._answered:
-                    loop.fail(str(error))
+                    loop.fail(str(error), samples)
                 continue
             last, samples, late = monotonic(), 1 + reading.missed, reading.late
             with self._answered:

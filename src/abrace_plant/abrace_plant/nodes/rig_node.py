@@ -70,6 +70,10 @@ class RigNode(AbraceLifecycleNode):
         """The device of this run; subclasses make it. An AbraceError refuses the activation."""
         raise NotImplementedError
 
+    def open_device(self) -> None:
+        """Open the device of a run by the clock. An AbraceError refuses the activation."""
+        self.device.open()
+
     def load(self) -> Rig:
         """The rig of the parameters; an AbraceError refuses the configuration."""
         return load_rig(find_file(self.parameters.rig, "abrace_plant", "config", ".yaml", "rig"))
@@ -95,6 +99,13 @@ class RigNode(AbraceLifecycleNode):
         given, rig = self.parameters, self.rig
         self.device = self.make_device()
         self.safety.activate()
+        if not self.lockstep:
+            try:
+                self.open_device()
+            except AbraceError:
+                self.safety.deactivate()
+                self.safety.rest()
+                raise
         # later runs have greater numbers, those of a node that is started anew as well
         self.run_number = max(self.run_number + 1, time.time_ns())
         self.loop = RigLoop(
@@ -104,7 +115,6 @@ class RigNode(AbraceLifecycleNode):
         self.next_display = 0.0
         self.done = False
         if not self.lockstep:
-            self.device.open()
             self.run = RealTimeRun(
                 self.loop, self.device, 1 / rig.sample_rate, self.lock, self.publish_sample, self.run_over, self.prepare
             )
@@ -146,7 +156,9 @@ class RigNode(AbraceLifecycleNode):
         if run.error is not None:
             self.later(lambda: self.finish(1, f"{type(run.error).__name__}: {run.error}"))
         elif self.done:
-            self.later(lambda: self.finish(0, f"done: {loop.sequence + 1} samples"))
+            self.later(
+                lambda: self.finish(0, f"done: {loop.sequence + 1} samples, {loop.missed_deadlines} late answers")
+            )
         self.tell_rest()
 
     def publish_sample(self, sample: Sample) -> None:

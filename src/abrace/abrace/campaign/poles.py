@@ -1,0 +1,50 @@
+"""Identified poles beside the rig's own and the paper's."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core.drawing import save_figure
+from abrace_core.files import write_text
+from abrace_core.linear_model import pole_table
+from abrace_plant.rig.published import PAPER_POLES
+from abrace_sysid.figures.identification import pole_chart
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from abrace_plant.rig.model import Rig
+
+PAPER_RIG = "ncree_three_storey"
+
+
+def compare_poles(results: Path, step: str, rig: Rig, simulated: bool) -> None:
+    """Compare the poles that a `step` identified with the rig's own, where it is simulated, and the paper's.
+
+    Writes poles.json and a chart into the folder of `results`.
+    """
+    found = json.loads((results / step / "poles.json").read_text(encoding="utf-8"))
+    identified = {
+        test: [{key: pair[key] for key in ("frequency", "damping_ratio")} for pair in found[test]]
+        for test in ("table", "command")
+    }
+    own = rig.model.poles() if simulated else np.array([])
+    pairs = [{"frequency": w, "damping_ratio": damping} for w, damping in pole_table(own)]
+    poles = {test: {"identified": found, "true": pairs[: len(found)]} for test, found in identified.items()}
+    write_text(results / "poles.json", json.dumps(poles, indent=1))
+    highest = 1.2 * max(pair["frequency"] for pair in identified["command"])
+    reference = {"rig": own[np.abs(own) < highest]} if own.size else {}
+    if rig.name == PAPER_RIG:
+        reference["paper, A1 and A2"] = np.concatenate([PAPER_POLES["table"], PAPER_POLES["command"]])
+    chart = pole_chart({f"{test} test": _complex(found) for test, found in identified.items()}, reference)
+    save_figure(chart, results / step / "poles.png")
+
+
+def _complex(pairs: list[dict[str, float]]) -> NDArray[np.complex128]:
+    frequency, damping = (np.array([pair[key] for pair in pairs]) for key in ("frequency", "damping_ratio"))
+    return frequency * (-damping + 1j * np.sqrt(1 - damping**2))

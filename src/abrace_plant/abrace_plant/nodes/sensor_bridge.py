@@ -1,0 +1,144 @@
+"""The node `sensor_bridge`: the real rig behind a device file, with exactly the topics of the simulated one."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+
+from std_srvs.srv import Trigger
+
+from abrace_core.errors import AbraceError
+from abrace_core.node import Parameter, find_file, run
+from abrace_plant.devices.calibration import Calibration, write_calibration
+from abrace_plant.devices.device import Device, DeviceError
+from abrace_plant.devices.file import calibration_of, channels_of, commands_of, load_device
+from abrace_plant.devices.zeroing import Zeroing, check_names
+from abrace_plant.live.loop import Sample
+from abrace_plant.nodes.rig_node import STOP_PERIOD, RigNode
+from abrace_plant.rig.model import Rig
+
+PARAMETERS = [
+    Parameter("device", "", "device: a name in the package's configuration or a file", required=True),
+    Parameter("zero_channels", [], "channels that ~/zero_sensors zeroes; empty: all", element=str, live=True),
+]
+ZEROS_TIME = 0.2
+"""Seconds of commands of zero before the first sample: longer than a target takes to come to rest after a bridge that
+was killed. A target follows what comes after a zero alone."""
+WARM_UP = 5
+"""Samples that the thread of a run takes before the first one that is published."""
+ZEROING_TIME = 1.0
+"""Seconds of readings whose mean is zeroed."""
+PATIENCE = 2.0
+"""Times as long as that, after which no more readings are waited for."""
+
+
+class SensorBridge(RigNode):
+    """Samples the hardware at its own ticks."""
+
+    zeroing: Zeroing | None = None
+    zeroed = "not since the start"
+
+    def __init__(self) -> None:
+        super().__init__("sensor_bridge", PARAMETERS)
+        self.create_service(Trigger, "~/zero_sensors", self.on_zero_sensors)
+        self.keep_endpoints()
+
+    def load(self) -> Rig:
+        """The rig, and the device file checked against it."""
+        rig = super().load()
+        self.path = find_file(self.parameters.device, "abrace_plant", "config/devices", ".yaml", "device")
+        self.device = load_device(self.path, rig)
+        self.calibration_file = calibration_of(self.path)
+        check_names(channels_of(rig), self.parameters.zero_channels)
+        return rig
+
+    def make_device(self) -> Device:
+        """The device, with what its files say now."""
+        return load_device(self.path, self.rig)
+
+    def open_device(self) -> None:
+        """Connect, and command zero until the target follows."""
+        self.device.open()
+        try:
+            self.command_zero(round(ZEROS_TIME * self.rig.sample_rate))
+        except AbraceError:
+            self.device.make_safe()
+            self.device.close()
+            raise
+
+    def prepare(self) -> None:
+        """Be at a tick of the device: samples have come since it was opened."""
+        with contextlib.suppress(DeviceError):  # which the first sample will find as well
+            self.command_zero(WARM_UP)
+
+    def command_zero(self, samples: int) -> None:
+        """Exchange so many samples for commands of zero."""
+        for _ in range(samples):
+            self.device.exchange([0.0] * self.rig.groups, 0.0)
+
+    def publish_sample(self, sample: Sample) -> None:
+        """Publish a sample, and keep it where sensors are being zeroed."""
+        super().publish_sample(sample)
+        if self.zeroing is not None:
+            acting = [value for output in self.safety.outputs for value in output.value]
+            self.zeroing.take(sample.reading, acting)
+
+    def on_zero_sensors(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Zero channels by the mean of the next second."""
+        try:
+            response.message = self.zero()
+            response.success = True
+            self.get_logger().info(response.message)
+        except AbraceError as error:
+            response.message = str(error)
+        return response
+
+    def zero(self) -> str:
+        """Collect, write the calibration file, use it from the next sample on; returns what has changed."""
+        with self.lock:
+            if not self.active or self.loop is None:
+                raise AbraceError("zeroing: the node is not active")
+            if moving := self.loop.moving():
+                raise AbraceError(f"zeroing: {moving}")
+            device, path, rig = self.device, self.calibration_file, self.rig
+            calibration = getattr(device, "calibration", None)
+            if path is None or not isinstance(calibration, Calibration):
+                raise AbraceError(f"zeroing: device file {self.path} names no calibration")
+            samples = round(ZEROING_TIME * rig.sample_rate)
+            self.zeroing = zeroing = Zeroing(calibration, self.parameters.zero_channels, samples)
+        end = time.monotonic() + PATIENCE * ZEROING_TIME
+        while not zeroing.over.wait(STOP_PERIOD) and time.monotonic() < end:
+            self.look_for_stops()  # whose timer waits for this thread
+        with self.lock:
+            self.zeroing = None
+        new, changes = zeroing.result()
+        write_calibration(path, new)
+        new_calibration = Calibration(new, channels_of(rig), commands_of(rig), rig.sample_rate)
+        with self.lock:
+            device.calibration = new_calibration  # type: ignore[attr-defined]
+        self.zeroed = time.strftime("%Y-%m-%d %H:%M:%S")
+        return f"{path}: {changes}"
+
+    def prepare_change(self, name: str, value: list[str]) -> Callable[[], None]:
+        """Channels that are zeroed from now on."""
+        if self.configured:
+            check_names(channels_of(self.rig), value)
+        return super().prepare_change(name, value)
+
+    def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
+        """State for `/diagnostics`, with the device's counts and calibration."""
+        fault, message, values = super().diagnose()
+        if self.configured:
+            values["device"] = self.path
+            values |= {f"device {name}": n for name, n in getattr(self.device, "counters", dict)().items()}
+            values |= {"calibration": self.calibration_file or "none", "zeroed": self.zeroed}
+            calibration = getattr(self.device, "calibration", None)
+            if isinstance(calibration, Calibration):
+                values |= {f"calibration {name}": text for name, text in calibration.facts().items()}
+        return fault, message, values
+
+
+def main() -> int:
+    """Entry point."""
+    return run(SensorBridge)

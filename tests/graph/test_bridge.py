@@ -1,0 +1,215 @@
+"""The node sensor_bridge and its hardware: the emulator, a process of its own, behind real packets."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import yaml
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+from udp_target import CONFIG, device_file, free_ports
+
+from abrace.processes.group import find_executable
+from abrace_interfaces.msg import BraceCommand, Response
+from abrace_plant.emulator.target import LIFE_TIME, RAMP_TIME
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+DRIVEN = {"rms": 5000.0, "duration": 60.0}
+
+
+class Emulator:
+    """The hardware of a device file."""
+
+    def __init__(self, device: Path, rig: Path = CONFIG / "ncree_three_storey.yaml") -> None:
+        (self._port,) = free_ports(1)
+        command = [find_executable("abrace_plant", "emulator"), "--rig", rig, "--device", device]
+        command += ["--control", str(self._port), "--priority", "50"]
+        self._process = subprocess.Popen([str(part) for part in command], stdout=subprocess.PIPE, text=True)
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "emulator: ticking\n"
+
+    def ask(self, text: str) -> str:
+        """Have a fault begin, or the report."""
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+            asking.settimeout(10)
+            asking.sendto(text.encode(), ("127.0.0.1", self._port))
+            return asking.recv(4096).decode()
+
+    def report(self) -> dict[str, Any]:
+        """Its counts."""
+        return json.loads(self.ask("report"))
+
+    def close(self) -> None:
+        """End it."""
+        self._process.send_signal(signal.SIGTERM)
+        self._process.communicate(timeout=20)
+
+
+@pytest.fixture
+def emulate() -> Iterator[Callable[..., Emulator]]:
+    """Starts emulators and ends them."""
+    started: list[Emulator] = []
+
+    def start(*arguments: Any) -> Emulator:
+        started.append(Emulator(*arguments))
+        return started[-1]
+
+    yield start
+    for emulator in started:
+        emulator.close()
+
+
+@pytest.fixture
+def rig(graph):
+    """The tests' graph, with its samples and commands."""
+    graph.by_the_clock = True
+    graph.responses = graph.listen(Response, "response")
+    graph.commands = graph.listen(BraceCommand, "brace_command")
+    return graph
+
+
+def drive(graph: Any) -> None:
+    """Have the braces driven, everything found before force is on."""
+    graph.until(lambda: graph.responses, "samples")
+    graph.until(lambda: "excitation" in graph.statuses, "the excitation")
+    assert graph.change_state("excitation", "configure")
+    graph.until_matched("excitation", response=1, brace_command=2)
+    assert graph.change_state("excitation", "activate")
+    graph.until(lambda: abs(graph.responses[-1].force[0]) > 4000.0, "the braces to push")
+
+
+def stamp(message: Any) -> int:
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def zero(graph: Any) -> Trigger.Response:
+    return graph.call(Trigger, "sensor_bridge/zero_sensors", Trigger.Request())
+
+
+def test_hardware_that_is_not_there_refuses_the_activation_and_is_taken_at_1_khz_once_it_is(rig, emulate, tmp_path):
+    (tmp_path / "none").mkdir()
+    missing = device_file(tmp_path / "none")
+    command = [find_executable("abrace_plant", "sensor_bridge"), "--ros-args", "-p", f"device:={missing}"]
+    ending = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    device, fast = device_file(tmp_path, timeout=0.02), tmp_path / "fast.yaml"
+    rig_file = (CONFIG / "ncree_three_storey.yaml").read_text()
+    fast.write_text(rig_file.replace("sample_rate: 500.0", "sample_rate: 1000.0"))
+    rig.start("sensor_bridge", device=str(device), rig=str(fast), autostart=False)
+    assert rig.change_state("sensor_bridge", "configure")
+    assert not rig.change_state("sensor_bridge", "activate")
+    assert rig.state("sensor_bridge") == "inactive"
+    emulate(device, fast)
+    assert rig.change_state("sensor_bridge", "activate")
+    rig.until(lambda: len(rig.responses) > 1000, "samples")
+    assert rig.responses[0].sequence == 0
+    steps = np.diff([response.sequence for response in rig.responses])
+    stamps = np.array([stamp(response) for response in rig.responses])
+    assert (steps > 0).all()
+    assert np.median(np.diff(stamps) / steps) == pytest.approx(1e6, rel=0.02)
+    assert {response.state for response in rig.responses} == {Response.RUNNING}
+    _, errors = ending.communicate(timeout=60)
+    assert ending.returncode == 2
+    (line,) = errors.splitlines()
+    assert line.startswith("sensor_bridge: udp device 127.0.0.1:")
+    assert "no good samples within 2 s; nothing came from" in line
+
+
+def test_hardware_is_zeroed_at_rest_alone_and_a_target_that_freezes_is_a_latched_fault(rig, emulate, tmp_path):
+    device = device_file(tmp_path, timeout=0.02, calibrated=True)
+    emulator = emulate(device)
+    # the bridge's own calibration: two sensors that are not at zero, one of them further than may be zeroed
+    content = yaml.safe_load((CONFIG / "device_parts/calibration.yaml").read_text())
+    for name, offset in (("a1", 0.05), ("x2", 0.6)):
+        content["channels"][name]["offset"] = offset
+    calibration = tmp_path / "own.yaml"
+    calibration.write_text(yaml.safe_dump(content))
+    text = device.read_text()
+    device.write_text(text.replace(text.rpartition("calibration: ")[2], "own.yaml\n"))
+    rig.start("sensor_bridge", device=str(device), zero_channels=["a1"])
+    rig.start("excitation", autostart=False, **DRIVEN)
+    rig.until(lambda: len(rig.responses) > 100, "samples")
+    assert np.mean([response.acceleration[0] for response in rig.responses]) == pytest.approx(-0.03, abs=0.002)
+
+    to = "127.0.0.1", yaml.safe_load(device.read_text())["local_port"]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        for length in range(300):
+            stranger.sendto(os.urandom(length), to)
+    done = zero(rig)
+    assert done.success, done.message
+    assert "own.yaml: offsets: a1 0.05 to" in done.message
+    found = yaml.safe_load(calibration.read_text())["channels"]
+    assert found["a1"].get("offset", 0.0) == pytest.approx(0.0, abs=0.001)
+    assert found["x2"]["offset"] == 0.6
+    used = len(rig.responses) + 50
+    names = SetParameters.Request(parameters=[Parameter("zero_channels", value=["a1", "x2"]).to_parameter_msg()])
+    assert rig.call(SetParameters, "sensor_bridge/set_parameters", names).results[0].successful
+    before = calibration.read_bytes()
+    refused = zero(rig)
+    assert not refused.success
+    assert refused.message.startswith("zeroing: x2 reads -0.00")
+    assert np.mean([response.acceleration[0] for response in rig.responses[used:]]) == pytest.approx(0.0, abs=0.002)
+    values = rig.values("sensor_bridge")
+    assert values["device dropped_other_sender"] == "300"
+    assert values["calibration a1"].startswith("0.6 m/s^2, offset")
+
+    drive(rig)
+    refused = zero(rig)
+    assert not refused.success
+    assert "brace_command still asks for" in refused.message
+    assert calibration.read_bytes() == before
+    assert {response.state for response in rig.responses} == {Response.RUNNING}
+
+    stops = emulator.report()["stops"]
+    emulator.ask("freeze=0.3")
+    rig.until_fault("sensor_bridge", "no sample for 20 ms; nothing came from")
+    rig.until_fault("excitation", "no response for")
+    rig.until(lambda: rig.responses[-1].state == Response.LATCHED, "all to be at rest")
+    report = emulator.report()
+    assert report["stops"] == stops + 1
+    assert report["worst_step_over_rate_limit"] <= 1.0
+    sequences = np.array([response.sequence for response in rig.responses], dtype=np.int64)
+    assert 100 < np.diff(sequences).max() < 250, "the ticks without a sample are counted"
+    assert rig.clear_fault("excitation").success
+    rig.until(lambda: rig.clear_fault("sensor_bridge").success, "the rig to be cleared")
+    rig.until(lambda: rig.responses[-1].state == Response.RUNNING, "the rig to run")
+    assert emulator.report()["following"]
+    assert rig.stop("sensor_bridge") == 0
+    rig.until(lambda: not emulator.report()["following"], "the target to be told")
+    rig.until(lambda: rig.responses[-1].flags & Response.LAST, "the last sample")
+
+
+def test_a_killed_bridge_leaves_the_force_to_the_target_and_another_begins_from_zero(rig, emulate, tmp_path):
+    device = device_file(tmp_path, timeout=0.02)
+    emulator = emulate(device)
+    rig.start("sensor_bridge", device=str(device))
+    rig.start("excitation", autostart=False, **DRIVEN)
+    drive(rig)
+    first = rig.responses[-1].run
+    before = emulator.report()
+    assert before["following"]
+    rig.kill("sensor_bridge")
+    rig.until(lambda: emulator.report()["worst_seconds_to_zero"], "the target to come to rest")
+    report = emulator.report()
+    assert report["stops"] == before["stops"] + 1
+    assert report["worst_seconds_to_zero"] <= LIFE_TIME + RAMP_TIME + 0.01
+    assert report["worst_step_over_rate_limit"] <= 1.0
+    rig.start("sensor_bridge", name="next", device=str(device))
+    rig.until(lambda: rig.responses[-1].run > first, "another run")
+    rig.until_matched("excitation", response=1)
+    count = len(rig.responses)
+    rig.until(lambda: len(rig.responses) > count + 250, "its samples")
+    assert emulator.report()["following"]
+    assert not any(response.command[0] for response in rig.responses[count:]), "a signal does not begin by itself"
+    for name in ("next", "excitation"):
+        rig.kill(name)  # at the end they would wait for the killed one to acknowledge what they sent
