@@ -78,7 +78,7 @@ def samples(count: int, first: int = 0) -> list[bytes]:
     found = []
     for sequence, values in enumerate(0.3 * random.standard_normal((count, 3)), first):
         # in lockstep nobody takes a pause between two samples for silence
-        zeros, head = [0.0], Head(1, sequence, 0, LOCKSTEP, State.RUNNING)
+        zeros, head = [0.0], Head(sequence, 1, 0, LOCKSTEP, State.RUNNING)
         arrays = 3 * zeros, values.tolist(), zeros, zeros, zeros
         found.append(responses.pack(sequence * PERIOD_NS, head, "", *arrays, 0.0))
     return found

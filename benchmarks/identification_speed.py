@@ -100,7 +100,7 @@ def write_bag(bag: Path, run: Run, rig: str) -> None:
             stamp, stroke, acceleration = sequence * period, outputs[floors:], outputs[floors + groups :]
             payload = responses.pack(
                 stamp,
-                Head(1, sequence, 0, 0, State.RUNNING),
+                Head(sequence, 1, 0, 0, State.RUNNING),
                 "",
                 outputs[:floors],
                 acceleration[:floors],

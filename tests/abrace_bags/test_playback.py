@@ -23,7 +23,7 @@ from abrace_bags.qos import DEFAULT_QOS, UNKNOWN_QOS
 from abrace_bags.raw import RawBag, RecordedTopic
 from abrace_bags.survey import RawMessage
 from abrace_core.errors import AbraceError
-from abrace_core.wire import BraceCommands, Responses
+from abrace_core.wire import BraceCommands, Head, Responses
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -181,7 +181,9 @@ def test_bag_time_begins_anew_with_each_round_of_steps() -> None:
 
 def test_a_sample_waits_for_the_command_with_its_number() -> None:
     responses, commands = Responses(), BraceCommands()
-    samples = [responses.pack(0, number, [0.0], [0.0], [0.0], [0.0], [0.0], 0.0) for number in (41, 42)]
+    samples = [
+        responses.pack(0, Head(number, 1, 0, 0, 3), "", [0.0], [0.0], [0.0], [0.0], [0.0], 0.0) for number in (41, 42)
+    ]
     content = [
         note(BEGIN, b"anything", "/lab/note"),
         note(BEGIN, samples[0], "/lab/response"),
@@ -193,12 +195,12 @@ def test_a_sample_waits_for_the_command_with_its_number() -> None:
     assert list(answers.next_messages(playback)) == content[:2]
     assert answers.missing == 41
     assert not list(answers.next_messages(playback)), "the sample has not been answered"
-    assert not answers.receive(commands.pack(0, 40, [1.0]))
-    assert answers.receive(commands.pack(0, 41, [1.0]))
+    assert not answers.receive(commands.pack(0, 1, 40, [1.0]))
+    assert answers.receive(commands.pack(0, 1, 41, [1.0]))
     assert answers.missing is None
-    assert not answers.receive(commands.pack(0, 41, [1.0])), "a second answer"
+    assert not answers.receive(commands.pack(0, 1, 41, [1.0])), "a second answer"
     assert list(answers.next_messages(playback)) == content[2:3]
-    assert answers.receive(commands.pack(0, 42, [1.0]))
+    assert answers.receive(commands.pack(0, 1, 42, [1.0]))
     assert list(answers.next_messages(playback)) == content[3:]
 
 

@@ -32,7 +32,7 @@ def response(k: int, floors: int = 2, groups: int = 2) -> Any:
     header = TYPES["std_msgs/msg/Header"](stamp=time, frame_id="table")
     floor, group = np.arange(floors), np.arange(groups)
     channels = (10 + floor + x, 20 + floor + x, 30 + group + x, 40 + group + x, 50 + group + x)
-    return TYPES[RESPONSE](header, 1, k, 0, 0, 3, *channels, x, "")
+    return TYPES[RESPONSE](header, k, 1, 0, 0, 3, *channels, x, "")
 
 
 def write(

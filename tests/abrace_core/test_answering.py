@@ -20,7 +20,7 @@ def answering() -> Answering:
 
 
 def receive(answering, sequence, state=State.RUNNING, cause="", run=1, flags=0) -> int:
-    return answering.receive(sequence * PERIOD, Head(run, sequence, 0, flags, state), cause, sequence * 0.002)
+    return answering.receive(sequence * PERIOD, Head(sequence, run, 0, flags, state), cause, sequence * 0.002)
 
 
 def test_it_begins_with_the_first_sample_and_goes_on(answering):

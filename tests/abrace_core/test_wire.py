@@ -49,7 +49,7 @@ def responses(draw) -> Response:
 
 
 def head(message: Response) -> Head:
-    return Head(message.run, message.sequence, message.clipped, message.flags, message.state)
+    return Head(message.sequence, message.run, message.clipped, message.flags, message.state)
 
 
 @given(responses(), responses())
@@ -99,7 +99,7 @@ def test_ground_accelerations_are_the_same_to_rclpy_both_ways(stamp, frame, acce
 
 def test_packed_messages_have_no_stray_bytes():
     x, u = [0.5, 0.25, 0.125], [1.0]
-    packed = [Responses().pack(7, Head(1, 8, 0, 0, 3), "", x, x, u, u, u, 0.5) for _ in range(2)]
+    packed = [Responses().pack(7, Head(8, 1, 0, 0, 3), "", x, x, u, u, u, 0.5) for _ in range(2)]
     assert packed[0] == packed[1]
     assert packed[0][22:28] == bytes(6), "padding after frame_id"
 

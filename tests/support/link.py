@@ -20,6 +20,7 @@ import subprocess
 import sys
 import time
 from collections import deque
+from typing import Any
 
 TUNSETIFF = 0x400454CA
 TAP_WITHOUT_HEADER = 0x1002
@@ -90,7 +91,8 @@ def main() -> None:
     conditions: dict[str, float] = {}
     wait: float | None = None
     while True:
-        readable, _, _ = select.select([*ends, control, 0], [], [], wait)
+        watched: list[Any] = [*ends, control, 0]
+        readable, _, _ = select.select(watched, [], [], wait)
         if 0 in readable:
             return
         if control in readable:

@@ -109,8 +109,8 @@ def _unpack_text(payload: bytes, position: int, name: str) -> str:
 class Head(NamedTuple):
     """What a Response says of the rig beside what was measured, with the names and meanings of Response.msg."""
 
-    run: int
     sequence: int
+    run: int
     clipped: int
     flags: int
     state: int
@@ -222,7 +222,7 @@ class BraceCommands:
             self._text = "", b""
         if fault != self._text[0] or not self._text[1]:
             self._text = fault, _pack_text(fault, self._arrays.offset + self._arrays.struct.size)
-        return header + self._arrays.pack((run, sequence), (force,), (), self._text[1])
+        return header + self._arrays.pack((sequence, run), (force,), (), self._text[1])
 
     def unpack(self, payload: bytes) -> tuple[int, int, tuple[float, ...], str]:
         """Run, sequence, force [N] and fault of a `payload`.
@@ -235,7 +235,7 @@ class BraceCommands:
         _, offset = read_header(payload)
         if len(payload) < offset + 20:
             raise AbraceError("BraceCommand: cut off")
-        run, sequence, length = struct.unpack_from("<QQI", payload, offset)
+        sequence, run, length = struct.unpack_from("<QQI", payload, offset)
         start = offset + 24 if length else offset + 20
         if len(payload) < start + 8 * length:
             raise AbraceError("BraceCommand: cut off")

@@ -270,7 +270,7 @@ class RigLoop:
         if self.ending and safety.at_rest and not any(self._until_now):
             flags |= LAST
             self.ended = True
-        head = Head(self.run, self.sequence, clipped, flags, safety.state)
+        head = Head(self.sequence, self.run, clipped, flags, safety.state)
         return Sample(reading.stamp, head, safety.cause, reading.values.tolist(), self._until_now)
 
     def step(self) -> Sample:
