@@ -36,7 +36,7 @@ REST_MARGIN = round(0.1 * RATE)
 STALL = 3.0
 FLOOD, FLOOD_RATE = 2000, 10_000
 """Messages, and a second."""
-DRIVEN: dict[str, Any] = {"rms": 5000.0, "duration": 60.0}
+DRIVEN: dict[str, Any] = {"rms": 4000.0, "duration": 60.0}
 SHAKEN: dict[str, Any] = {"record": "white_noise", "duration": 60.0, "rms": 0.5, "band": [0.3, 10.0]}
 
 
@@ -108,6 +108,12 @@ class Rig:
         if status is not None and status.level == DiagnosticStatus.ERROR:
             self.graph.clear_fault(self.commander)
         return bool(self.graph.clear_fault("plant").success)
+
+    def late_answers(self, count: int) -> list[int]:
+        """Samples of the last `count` answers that were not in force two samples later."""
+        in_force = {one.sequence: one.command[0] for one in self.responses[-count - 20 :]}
+        answers = self.commands[-count:]
+        return [one.sequence for one in answers if in_force.get(one.sequence + 2, one.force[0]) != one.force[0]]
 
     def until_driven(self, force: float) -> None:
         """Wait until the braces push with more than a `force` [N], by commands in time: a new node's are late."""
@@ -201,6 +207,8 @@ def rig_stalled(rig: Rig) -> None:
 def loop_undisturbed(rig: Rig) -> None:
     """Parameters and life cycle services of a controller in use: every sample is answered before the next one."""
     rig.until_driven(100.0)
+    rig.graph.until(lambda: len(rig.commands) > 200 and not rig.late_answers(100), "a node that has joined to keep up")
+    del rig.responses[:-1], rig.commands[:-1]
     values = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(rig.graph.folder / "lqg3.yaml"))
     request = SetParameters.Request(parameters=[Parameter(name="next", value=values)])
     asked = time.monotonic()
@@ -215,8 +223,7 @@ def loop_undisturbed(rig: Rig) -> None:
     assert (np.diff(answered) == 1).all(), "an answer is missing"
     late = sum(bool(one.flags & Response.LATE) for one in rig.responses)
     assert not late, f"{late} samples were late"
-    in_force = {one.sequence: one.command[0] for one in rig.responses}
-    waited = [one.sequence for one in rig.commands if in_force.get(one.sequence + 2, one.force[0]) != one.force[0]]
+    waited = rig.late_answers(len(rig.commands))
     assert not waited, f"{len(waited)} answers acted late, the first to sample {waited[0]}"
 
 

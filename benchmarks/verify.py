@@ -3,7 +3,7 @@
 Writes results/verify.json, prints tables, ends with 1 if a claim is missed.
 
 rig             the paper's rig against the numbers that the paper prints, and its limited motion against finer substeps
-safety          every state with every event; what is wrong with a command, stop, sensor, rig or controller, on running nodes
+safety          every state with every event; wrong commands, stops, sensors, rigs and controllers, on running nodes
 bridge          malformed packets, and the demo in real time through emulator and bridge
 interlocks      their margins in the paper's tests, and what trips them
 records         the resampling of records, and their response spectra against eqsig

@@ -42,8 +42,7 @@ def _interface(name: str, folder: str) -> type:
     package, *_, kind = name.split("/")
     kind, _, part = kind.partition("_")
     found: type = getattr(importlib.import_module(f"{package}.{'action' if part else folder}"), kind)
-    found = getattr(found, part) if part else found
-    return found
+    return getattr(found, part) if part else found
 
 
 def _wrong_value(kind: str, chance: random.Random) -> Any:
