@@ -6,6 +6,8 @@ graph   10 minutes of the closed loop in real time at 500 Hz (plant, ground moti
 flood   the highest rate of one topic at which the logger loses nothing, against a subscription that writes nothing
 ends    200 nodes of all kinds interrupted twice at random moments; where there is `ros2 launch` 50 launches with wrong
         arguments and 50 that get SIGTERM at random moments: crashes, exit codes, nodes left behind
+wrong   10 000 messages of wrong content on every topic and service of every node that streams
+lockstep  the closed loop in lockstep, 20 minutes: memory of every node, and two runs that have to be the same
 joins   100 nodes that join a running rig and leave: how often it found no command in time
 
 python benchmarks/soak.py SECONDS    # another duration of the first
@@ -24,7 +26,10 @@ from controller_speed import lqg3
 from ends import failures, measure
 from isolation import isolated
 from joins import joins
+from lockstep_endurance import MEMORY_LIMIT, lockstep_endurance
 from logger_endurance import LOAD, cpu_seconds, flood_rates, running
+from wrong_endurance import CAPACITY, RATE_STEP
+from wrong_endurance import measure as wrong_messages
 
 from abrace.campaign.runner import run_campaign
 from abrace.report.table import Table
@@ -122,7 +127,10 @@ def main() -> int:
         logger |= flood_rates()
         ends = measure()
         joined = joins()
-    write_text("results/soak.json", json.dumps({"logger": logger, "ends": ends, "joins": joined}, indent=1) + "\n")
+        wrong = wrong_messages()
+        lockstep = lockstep_endurance()
+    values = {"logger": logger, "ends": ends, "joins": joined, "wrong": wrong, "lockstep": lockstep}
+    write_text("results/soak.json", json.dumps(values, indent=1) + "\n")
     bare = f"bare subscription {logger['bare_subscription_rate']:.0f}"
     rows = (
         (f"messages lost of {logger['messages']}", f"{logger['lost']}", "0", "-"),
@@ -138,6 +146,28 @@ def main() -> int:
     print(Table("How nodes and launches end", ("what", "", "count"), counts).text())
     joining = tuple((name.replace("_", " "), f"{value:g}") for name, value in joined.items())
     print(Table("Nodes that join a running rig", ("what", "reached"), joining).text())
+    grown = lockstep["grown_mb"]
+    endured = (
+        ("faults of a rig that nodes join", f"{joined['faults']}", "0"),
+        (f"what acted that was not finite, after {wrong['messages']} wrong messages", f"{wrong['not_finite']}", "0"),
+        ("greatest force then, N", f"{wrong['greatest_force']:.0f}", f"{CAPACITY:.0f}"),
+        ("greatest step then, N", f"{wrong['worst_step']:.0f}", f"{RATE_STEP:.0f}"),
+        ("nodes that died of them", f"{wrong['died']}", "0"),
+        *((f"memory of {name}, MB more after the first minute", f"{mb:.2f}", "1") for name, mb in grown.items()),
+        (f"differences between two runs of {lockstep['compared']} samples", f"{lockstep['different']}", "0"),
+    )
+    print(Table("Nodes in the long run", ("what", "reached", "asked"), endured).text())
+    missed = (
+        joined["faults"],
+        wrong["not_finite"],
+        wrong["greatest_force"] > CAPACITY,
+        wrong["worst_step"] > RATE_STEP * (1 + 1e-12),
+        wrong["died"],
+        max(grown.values()) > MEMORY_LIMIT,
+        lockstep["different"],
+    )
+    if any(missed):
+        return 1
     return 1 if failures(ends) or logger["lost"] or logger["cpu_fraction"] >= 0.25 else 0
 
 

@@ -3,6 +3,8 @@
 Writes results/verify.json, prints tables, ends with 1 if a claim is missed.
 
 rig             the paper's rig against the numbers that the paper prints, and its limited motion against finer substeps
+safety          every state with every event; wrong commands, stops, sensors, rigs and controllers, on running nodes
+bridge          malformed packets, and the demo in real time through emulator and bridge
 interlocks      their margins in the paper's tests, and what trips them
 records         the resampling of records, and their response spectra against eqsig
 lqg             the five controllers on the lockstep graph: Table 1, prediction, margins, reductions
@@ -13,6 +15,7 @@ identification  poles, their intervals and prediction against the simulated rig;
 from __future__ import annotations
 
 import argparse
+import importlib
 import importlib.util
 import json
 import sys
@@ -25,8 +28,10 @@ import identification_accuracy as accuracy
 import lqg_accuracy
 import numpy as np
 from bag_accuracy import verify_bags
+from bridge_endurance import bridge_endurance
 from claims import Claim, claim_table
 from interlock_margins import verify_interlocks
+from safety import verify_safety
 
 from abrace.report.table import Table
 from abrace_core.files import write_text
@@ -44,6 +49,7 @@ if TYPE_CHECKING:
     from abrace_sysid.fitting.pole_estimate import PoleInterval
 
 RESULTS = Path("results/verify.json")
+DEMO_SECONDS = 160.0
 SAME_POLE = 0.05
 """Relative difference in frequency within which two poles are taken for the same."""
 
@@ -251,6 +257,22 @@ def prediction_table(prediction: dict[str, Any]) -> Table:
     return Table("El Centro at 0.1 g, simulated against measured: rms error, %", header, tuple(rows), (note,))
 
 
+def verify_bridge() -> tuple[dict[str, Any], list[Claim]]:
+    """A flooded UDP device, and the demo in real time through emulator and bridge."""
+    values = bridge_endurance()
+    claims = [
+        Claim("bridge: malformed packets", values["malformed_packets"], 100_000, "at 10 kHz", least=True),
+        Claim("bridge: wrong samples", values["wrong_samples"], 0, "-"),
+        Claim("bridge: missed samples", values["missed_samples"], 0, "-"),
+    ]
+    if importlib.util.find_spec("bridge_demo") is None:
+        print("bridge: the demo is left out: there is no benchmarks/bridge_demo.py", file=sys.stderr)
+        return values, claims
+    demo = importlib.import_module("bridge_demo").bridge_demo(DEMO_SECONDS)
+    claims.append(Claim("bridge: samples lost in the demo", demo["lost_samples"], 0, f"{DEMO_SECONDS:g} s"))
+    return {**values, "demo": demo}, claims
+
+
 def main() -> int:
     """Measure, write, print."""
     parser = argparse.ArgumentParser(description="Accuracy claims, measured.")
@@ -260,12 +282,14 @@ def main() -> int:
         parser.error("N4SID needs ctrlsys, which needs NumPy 2: make verify runs where no ROS 2 is sourced")
     rig, claims = verify_rig()
     interlocks, of_interlocks, of_limits = verify_interlocks()
+    safety, of_safety = verify_safety()
+    bridge, of_bridge = verify_bridge()
     records, of_records = verify_records()
     identification, of_identification, tables = verify_identification()
     bags, of_bags = verify_bags()
     lqg, of_lqg, of_controllers = lqg_accuracy.verify_lqg(record)
-    claims += of_interlocks + of_records + of_identification + of_bags + of_lqg
-    values = {"rig": rig, "interlocks": interlocks, "records": records}
+    claims += of_interlocks + of_safety + of_bridge + of_records + of_identification + of_bags + of_lqg
+    values = {"rig": rig, "interlocks": interlocks, "safety": safety, "bridge": bridge, "records": records}
     values |= {"identification": identification, "bags": bags, "lqg": lqg}
     write_text(RESULTS, json.dumps(values, indent=1) + "\n")
     print("\n\n".join(table.text() for table in (claim_table(claims), *of_limits, *tables, *of_controllers)))

@@ -263,3 +263,19 @@ def test_the_force_is_finite_within_capacity_and_rate_whatever_comes(rig, forces
     assert np.isfinite(commands).all()
     assert np.abs(commands).max() <= capacity
     assert np.abs(np.diff(commands, prepend=0.0)).max() <= step * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("ramped", [0, 80])
+def test_after_a_delay_the_force_makes_no_step_beyond_the_rate_limit(rig, bench, ramped):
+    bench.drive([20e3] * 20)
+    if ramped:
+        bench.safety.fault("planted")
+        bench.drive([20e3] * ramped)
+    before = bench.safety.outputs[0].value[0]
+    bench.samples.append(bench.loop.take(reading(bench, missed=300)))
+    (after,), _ = bench.loop.act(301)
+    step = rig.rate_limit[0] / rig.sample_rate
+    assert before > 10e3
+    assert before - after <= step * (1 + 1e-12)
+    if not ramped:
+        assert before - after < 20.0, "the ramp begins when the delay is noticed, not before"

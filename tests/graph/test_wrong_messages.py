@@ -10,7 +10,7 @@ from wrong_endurance import CAPACITY, RATE_STEP, wrong_endurance
 
 
 def test_nothing_wrong_reaches_the_device_and_no_node_dies(graph):
-    found = wrong_endurance(graph, 150, 8, random.Random(1))
+    found = wrong_endurance(graph, 100, 5, random.Random(1))
     assert found["topics"] == 3
     assert found["services"] >= 30
     assert found["not_finite"] == 0

@@ -128,8 +128,11 @@ class CommandGuard:
         return not any(self.value)
 
     def come_to_rest(self, samples: int = 1) -> None:
-        """Go so many `samples` further along the ramp."""
+        """Go so many `samples` further along the ramp, within the rate limit."""
         self._ramp_steps += samples
         over = self._ramp_steps > len(self._ramp)
         share = 0.0 if over else self._ramp[self._ramp_steps - 1]
-        self.value = [share * force for force in self._ramp_start]
+        self.value = [
+            min(max(share * start, last - step), last + step)
+            for start, last, step in zip(self._ramp_start, self.value, self._step, strict=True)
+        ]

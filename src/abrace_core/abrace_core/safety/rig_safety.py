@@ -185,6 +185,8 @@ class RigSafety:
         self._life = State.UNCONFIGURED
         self._fade: list[float] = []
         self._faded = 0
+        self._entered = False
+        """Whether the state is new since the last sample."""
 
     @property
     def acting(self) -> bool:
@@ -202,6 +204,7 @@ class RigSafety:
         if isinstance(outcome, str):
             raise AbraceError(f"{outcome}{f' ({self.cause})' if self.cause else ''}")
         before, self.state = self.state, outcome
+        self._entered = before is not outcome
         if outcome is State.RAMPING_DOWN and before is not outcome:
             for output in self.outputs:
                 output.begin_to_rest()
@@ -294,6 +297,8 @@ class RigSafety:
                 if command is not None and (problem := output.problem(command)):
                     self.fault(problem)
                     break
+        # a ramp or fade begins now, however long ago the last sample was
+        samples, self._entered = 1 if self._entered else samples, False
         if self.state is State.RUNNING:
             for output, command in zip(self.outputs, commands, strict=True):
                 output.follow(command, 1.0)

@@ -1,0 +1,120 @@
+"""Endurance of the closed loop in lockstep: two runs on the same nodes, 10 hours of the rig or 20 minutes in all.
+
+samples    of both runs
+grown_mb   by node, greatest less smallest resident memory after the first minute
+compared   samples of the second run whose bytes were compared with those of the first, but for the run's number
+different  blocks of 10 000 samples that are not the same
+
+python benchmarks/lockstep_endurance.py [SECONDS]
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from controller_speed import lqg3
+from isolation import isolated
+from running_graph import STREAM, Graph
+
+from abrace.processes.group import ProcessGroup
+from abrace_core.controller_file import save_controller
+from abrace_core.wire import read_header
+from abrace_interfaces.msg import Response
+
+SECONDS = 1200.0
+MOST_SAMPLES = 10 * 3600 * 500
+MEMORY_LIMIT = 1.0
+"""MB that a node may grow by after SETTLED."""
+SETTLED = 60.0
+LOOK_PERIOD = 2.0
+BLOCK = 10_000
+
+
+class Watch:
+    """Digests of the samples of each run, block by block."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.runs: list[list[str]] = []
+        self.samples = 0
+        self._run = b""
+        self._digest = hashlib.blake2b()
+        self._count = 0
+        graph.node.create_subscription(Response, "response", self._on_response, STREAM, raw=True)
+
+    def _on_response(self, payload: bytes) -> None:
+        offset = read_header(payload).offset
+        run = payload[offset : offset + 8]
+        if run != self._run:
+            self._run, self._digest, self._count = run, hashlib.blake2b(), 0
+            self.runs.append([])
+        self._digest.update(payload[:offset])
+        self._digest.update(payload[offset + 8 :])
+        self.samples += 1
+        self._count += 1
+        if self._count % BLOCK == 0:
+            self.runs[-1].append(self._digest.hexdigest())
+
+
+def resident_mb(process: int) -> float:
+    """Memory of a process, by its number, that is in RAM."""
+    pages = int(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def _run_in_lockstep(graph: Graph, seconds: float) -> dict[str, Any]:
+    save_controller(lqg3(), graph.folder / "lqg3.yaml")
+    inputs = ["brace_command", "ground_motion"]
+    graph.start("plant", lockstep=True, wait_for=inputs, autostart=False)
+    graph.start("ground_motion", record="white_noise", rms=0.1, duration=240.0, autostart=False)
+    graph.start("controller", "--params-file", graph.folder / "lqg3.yaml")
+    for name in ("plant", "ground_motion"):
+        assert graph.change_state(name, "configure")
+    watch = Watch(graph)
+    graph.until_matched("plant", response=3, ground_motion=1, brace_command=1)
+    assert graph.change_state("ground_motion", "activate")
+    memory: dict[str, list[float]] = {name: [] for name in graph.started}
+    begun = time.monotonic()
+    for run in (1, 2):
+        assert graph.change_state("plant", "activate")
+        end = begun + run * seconds / 2
+        while time.monotonic() < end and watch.samples < run * MOST_SAMPLES / 2:
+            look = time.monotonic() + LOOK_PERIOD
+            graph.until(lambda look=look: time.monotonic() > look, "some seconds")  # type: ignore[misc]
+            if look > begun + SETTLED:
+                for name, process in graph.started.items():
+                    memory[name].append(resident_mb(process.group))
+        assert graph.change_state("plant", "deactivate")
+    first, second = watch.runs
+    return {
+        "samples": watch.samples,
+        "seconds": time.monotonic() - begun,
+        "grown_mb": {name: max(used, default=0.0) - min(used, default=0.0) for name, used in memory.items()},
+        "compared": BLOCK * min(len(first), len(second)),
+        "different": sum(one != other for one, other in zip(first, second, strict=False)),
+    }
+
+
+def lockstep_endurance(seconds: float = SECONDS) -> dict[str, Any]:
+    """All of it; call it on a domain of one's own."""
+    context = rclpy.Context()
+    context.init()
+    with ProcessGroup() as processes:
+        graph = Graph("/lockstep", Path.cwd(), context, processes)
+        try:
+            return _run_in_lockstep(graph, seconds)
+        finally:
+            graph.close()
+            context.try_shutdown()
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    with isolated():
+        print(json.dumps(lockstep_endurance(float(sys.argv[1]) if len(sys.argv) > 1 else SECONDS), indent=1))
