@@ -20,6 +20,7 @@ import subprocess
 import sys
 import time
 from collections import deque
+from typing import Any
 
 TUNSETIFF = 0x400454CA
 TAP_WITHOUT_HEADER = 0x1002
@@ -89,8 +90,9 @@ def main() -> None:
     print("ready", flush=True)
     conditions: dict[str, float] = {}
     wait: float | None = None
+    sources: list[Any] = [*ends, control, 0]
     while True:
-        readable, _, _ = select.select([*ends, control, 0], [], [], wait)
+        readable, _, _ = select.select(sources, [], [], wait)
         if 0 in readable:
             return
         if control in readable:
