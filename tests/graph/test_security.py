@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import numpy as np
+import pytest
 from policy import may, read_policy
 
+from abrace.processes.group import find_executable
 from abrace_core.controller_file import Controller, save_controller
 from abrace_core.linear_model import LinearModel
 
@@ -80,3 +83,15 @@ def test_the_policy_allows_what_the_nodes_do(graph, tmp_path):
     expect_allowed(graph, "_logger_input", "subscribe", "response", enclave="logger")
     for name in ("plant", "ground_motion", "excitation", "controller", "logger"):
         expect_open_to_operators(graph, name)
+
+
+@pytest.mark.usefixtures("domain")
+def test_a_node_without_keys_says_so_and_does_not_start(tmp_path, monkeypatch):
+    (tmp_path / "enclaves").mkdir()
+    for name, value in (("ENABLE", "true"), ("STRATEGY", "Enforce"), ("KEYSTORE", str(tmp_path))):
+        monkeypatch.setenv(f"ROS_SECURITY_{name}", value)
+    ran = subprocess.run([find_executable("abrace_plant", "plant")], capture_output=True, text=True, check=False)
+    assert ran.returncode == 2
+    assert "Traceback" not in ran.stderr
+    assert "plant: " in ran.stderr
+    assert "security" in ran.stderr.lower()

@@ -90,9 +90,9 @@ def main() -> None:
     print("ready", flush=True)
     conditions: dict[str, float] = {}
     wait: float | None = None
+    sources: list[Any] = [*ends, control, 0]
     while True:
-        watched: list[Any] = [*ends, control, 0]
-        readable, _, _ = select.select(watched, [], [], wait)
+        readable, _, _ = select.select(sources, [], [], wait)
         if 0 in readable:
             return
         if control in readable:

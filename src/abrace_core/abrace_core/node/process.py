@@ -25,7 +25,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from abrace_core.errors import AbraceError
-from abrace_core.node.conventions import AbraceNode, rcl_message
+from abrace_core.node.conventions import AbraceNode, RCLError, rcl_message
 from abrace_core.node.threads import LONGEST_WAIT
 
 EVENTS_WHEN_LATE = 3
@@ -213,7 +213,10 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
         if END_WITH in os.environ:
             _end_with(os.environ[END_WITH])
         _initialize(arguments)
-        node = create()
+        try:
+            node = create()
+        except RCLError as error:
+            raise AbraceError(f"the node cannot be made: {rcl_message(error)}") from error
         if hasattr(node, "work"):
             signals.interrupt(node.work)
             exit_code = node.exit_code or 0
