@@ -25,6 +25,8 @@ PARAMETERS = [
 ZEROS_TIME = 0.2
 """Seconds of commands of zero before the first sample: longer than a target takes to come to rest after a bridge that
 was killed. A target follows what comes after a zero alone."""
+ZEROS_PATIENCE = 1.0
+"""Seconds after which a device that fails while it is commanded zero is given up."""
 WARM_UP = 5
 """Samples that the thread of a run takes before the first one that is published."""
 ZEROING_TIME = 1.0
@@ -58,24 +60,28 @@ class SensorBridge(RigNode):
         return load_device(self.path, self.rig)
 
     def open_device(self) -> None:
-        """Connect, and command zero until the target follows."""
+        """Connect, and command zero until the target follows; nothing acts yet, so that a hold-up harms nobody."""
         self.device.open()
-        try:
-            self.command_zero(round(ZEROS_TIME * self.rig.sample_rate))
-        except AbraceError:
-            self.device.make_safe()
-            self.device.close()
-            raise
+        missing, latest = round(ZEROS_TIME * self.rig.sample_rate), time.monotonic() + ZEROS_PATIENCE
+        while missing:
+            try:
+                self.command_zero()
+                missing -= 1
+            except DeviceError:
+                if time.monotonic() > latest:
+                    self.device.make_safe()
+                    self.device.close()
+                    raise
 
     def prepare(self) -> None:
         """Be at a tick of the device: samples have come since it was opened."""
         with contextlib.suppress(DeviceError):  # which the first sample will find as well
-            self.command_zero(WARM_UP)
+            for _ in range(WARM_UP):
+                self.command_zero()
 
-    def command_zero(self, samples: int) -> None:
-        """Exchange so many samples for commands of zero."""
-        for _ in range(samples):
-            self.device.exchange([0.0] * self.rig.groups, 0.0)
+    def command_zero(self) -> None:
+        """Exchange a sample for a command of zero."""
+        self.device.exchange([0.0] * self.rig.groups, 0.0)
 
     def publish_sample(self, sample: Sample) -> None:
         """Publish a sample, and keep it where sensors are being zeroed."""
