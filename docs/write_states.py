@@ -45,20 +45,22 @@ way to rest, while an input still asks for a force or a motion, or while its sen
 
 ## How it is tried
 
-`make verify` walks every state with every event on a real `RigSafety`, and tries on running nodes, 20 times each, what
-may go wrong (`python benchmarks/safety.py`, results in `safety` of `results/verify.json`): stop buttons of each QoS on both
-names, two of them, and one whose sender is gone; `clear_fault` while somebody commands and during the ramp; a rig that is
-deactivated, interrupted or held up for 3 s, and a commander that is interrupted; commands that are not finite, of wrong
-length or of two senders; old and repeated samples; a law with the wrong sign; a stop in El Centro; motions beyond the table;
-a sensor at its end; services of a controller in use. A controller is killed, stopped (SIGSTOP) and made to flood the rig, 100
-times each: the force has to be zero within `command_timeout`, ramp and 5 samples, and no step in it beyond the rate limit.
+`make verify` walks every state with every event on a real `RigSafety`, and tries on running nodes, 20 times each,
+what may go wrong (`python benchmarks/safety.py`, results in `safety` of `results/verify.json`): stop buttons of each
+QoS on both names, two of them, and one whose sender is gone; `clear_fault` while somebody commands and during the
+ramp; a rig that is deactivated, interrupted or held up for 3 s, and a commander that is interrupted; commands that
+are not finite, of wrong length or of two senders; old and repeated samples; a law with the wrong sign; a stop in El
+Centro; motions beyond the table; a sensor at its end; services of a controller in use. A controller is killed,
+stopped (SIGSTOP) and made to flood the rig, 100 times each: the force has to be zero within `command_timeout`, ramp
+and 5 samples, and no step in it beyond the rate limit.
 
-`make soak` sends 10 000 messages of right type and wrong content to every topic and service of every node that streams
-(`python benchmarks/wrong_endurance.py`), and runs 20 minutes of lockstep (`python benchmarks/lockstep_endurance.py`): no
-node may grow by 1 MB after the first minute, and two runs have to be the same bytes.
+`make soak` sends 10 000 messages of right type and wrong content to every topic and service of every node that
+streams (`python benchmarks/wrong_endurance.py`), and runs 20 minutes of lockstep (`python
+benchmarks/lockstep_endurance.py`): no node may grow by 1 MB after the first minute, and two runs have to be the same
+bytes.
 
-A rig that was held up begins its ramp when it notices: the time before does not count, and while it lasts no step of force is
-beyond the rate limit, however many samples are missed.
+A rig that was held up begins its ramp when it notices: the time before does not count, and while it lasts no step of
+force is beyond the rate limit, however many samples are missed.
 """
 
 
