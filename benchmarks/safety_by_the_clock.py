@@ -270,7 +270,8 @@ def flooding(rig: Rig) -> None:
     moment, begin = time.time_ns(), time.monotonic()
     for number in range(FLOOD):
         rig.graph.executor.spin_once(timeout_sec=0.0)
-        message.sequence, message.force = rig.last.sequence, [20e3 if number % 2 else -20e3]
+        # the rig may be some samples ahead of what we have seen
+        message.sequence, message.force = rig.last.sequence + number % 16 // 2, [20e3 if number % 2 else -20e3]
         rig.flood.publish(message)
         time.sleep(max(0.0, begin + number / FLOOD_RATE - time.monotonic()))
     rig.expect_zero(rig.sample_at(moment), TIMEOUT + RAMP + MARGIN)
