@@ -71,6 +71,7 @@ class Rig:
 
     def start_commander(self) -> None:
         """Start whoever commands."""
+        self.commands.clear()
         if self.commander == "controller":
             self.graph.start("controller", "--params-file", self.graph.folder / "lqg3.yaml")
         else:
@@ -94,6 +95,8 @@ class Rig:
             assert graph.change_state("plant", "activate")
         count = len(self.responses)
         graph.until(lambda: len(self.responses) > count + 5, "samples")
+        # a node that joins is late at first, and holds others up: nothing may act meanwhile
+        graph.until(self.keeps_up, f"{self.commander} to keep up")
         if self.last.state not in (Response.RUNNING, Response.FADING_IN):
             graph.until(lambda: self.last.state == Response.LATCHED, "all to be at rest")
             graph.until(self.cleared, "the rig to be cleared")
@@ -102,6 +105,11 @@ class Rig:
                 assert graph.change_state(name, transition), f"{name}: {transition} refused; {graph.reported()}"
         graph.until(lambda: self.last.state == Response.RUNNING, "the rig to run")
         del self.responses[:-1], self.commands[:-1]
+
+    def keeps_up(self) -> bool:
+        """Whether the commander has answered for a while, and does so in time."""
+        commands = self.commands
+        return len(commands) > 100 and 0 <= self.last.sequence - commands[-1].sequence < 5
 
     def cleared(self) -> bool:
         """Clear the rig's fault, and before it those that its commander and its table have of their own."""
@@ -262,7 +270,8 @@ def flooding(rig: Rig) -> None:
     moment, begin = time.time_ns(), time.monotonic()
     for number in range(FLOOD):
         rig.graph.executor.spin_once(timeout_sec=0.0)
-        message.sequence, message.force = rig.last.sequence, [20e3 if number % 2 else -20e3]
+        # the rig may be some samples ahead of what we have seen
+        message.sequence, message.force = rig.last.sequence + number % 16 // 2, [20e3 if number % 2 else -20e3]
         rig.flood.publish(message)
         time.sleep(max(0.0, begin + number / FLOOD_RATE - time.monotonic()))
     rig.expect_zero(rig.sample_at(moment), TIMEOUT + RAMP + MARGIN)

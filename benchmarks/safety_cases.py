@@ -294,9 +294,15 @@ def sensor_at_its_end(hands: Hands) -> None:
         clipped += bool(hands.last.clipped >> 8 & 1)
     assert clipped >= 5, f"{clipped} samples say so"
     assert "interlocks.clipped" in hands.last.cause, hands.last.cause
-    # until the building has swung out
-    hands.hold(0.0, 1000)
+    hands.hold(0.0, RAMP + 50)
     assert hands.last.state == Response.LATCHED
+    # building and table at rest again, in a new run
+    graph, run = hands.graph, hands.last.run
+    assert graph.change_state("plant", "deactivate")
+    assert graph.clear_fault("plant").success
+    for transition in ("cleanup", "configure", "activate"):
+        assert graph.change_state("plant", transition), f"{transition} was refused"
+    graph.until(lambda: hands.last.run != run, "a new run")
 
 
 LOCKSTEP: dict[str, Callable[[Hands], None]] = {

@@ -74,6 +74,7 @@ class StrongMotion:
             for name in ("ground_motion", "plant"):
                 assert graph.change_state(name, "activate")
             graph.until(lambda: self.responses and self.responses[-1].run != run, "a new run")
+            self.responses[:] = [one for one in self.responses if one.run != run]
 
     def stop(self) -> None:
         """Press at a random moment of the strong part: the table ends at rest, not with a velocity."""
@@ -83,6 +84,8 @@ class StrongMotion:
         self.graph.until(lambda: self.responses[-1].state == Response.PROTECTIVE_STOP, "the table to be at rest")
         count = len(self.responses) + 20
         self.graph.until(lambda: len(self.responses) > count, "the table to stand still")
+        sequences = [one.sequence for one in self.responses]
+        assert sequences == list(range(len(sequences))), "we have not seen every sample"
         acceleration = np.array([one.ground_acceleration for one in self.responses])
         moving = np.array([one.state == Response.RUNNING for one in self.responses])
         velocity = acceleration.cumsum() / RATE
