@@ -21,7 +21,7 @@ import rclpy
 from geometry_msgs.msg import AccelStamped
 from isolation import isolated
 from rcl_interfaces.srv import ListParameters
-from running_graph import STREAMING, Graph
+from running_graph import Graph
 from wrong_messages import WrongMessages
 
 from abrace.processes.group import ProcessGroup
@@ -29,6 +29,7 @@ from abrace_interfaces.msg import BraceCommand, Response
 
 CAPACITY, RATE_STEP = 24516.625, 5.0e6 / 500
 MESSAGES = 10_000
+NODES = ("plant", "ground_motion", "excitation", "controller")
 
 
 def wrong_endurance(graph: Graph, messages: int, requests: int, chance: random.Random) -> dict[str, Any]:
@@ -45,7 +46,7 @@ def wrong_endurance(graph: Graph, messages: int, requests: int, chance: random.R
     # two senders are a fault: the controller hears the rig, and nobody hears it
     graph.start("controller", "--params-file", graph.folder / "lqg3.yaml", "-r", "brace_command:=unheard")
     fuzz = WrongMessages(graph, chance)
-    graph.until(lambda: len(graph.statuses) == len(STREAMING), "all nodes")
+    graph.until(lambda: len(graph.statuses) == len(NODES), "all nodes")
 
     def go_on() -> None:
         """Let the rig act again, as a person would that knows no better."""
@@ -67,7 +68,7 @@ def wrong_endurance(graph: Graph, messages: int, requests: int, chance: random.R
     for topic, kind in topics.items():
         fuzz.send(kind, topic, messages, go_on)
     sent, services = len(topics) * messages, 0
-    for name in STREAMING:
+    for name in NODES:
         listed = graph.call(ListParameters, f"{name}/list_parameters", ListParameters.Request())
         for service, service_type in fuzz.services(name):
             fuzz.ask(service, service_type, requests, list(listed.result.names))

@@ -129,7 +129,7 @@ def test_stamps_are_the_real_instants_and_the_building_is_at_rest(graph):
     sequences = np.array([response.sequence for response in responses], dtype=np.int64)
     assert (np.diff(sequences) > 0).all()
     stamps = np.array([stamp(response) for response in responses])
-    lateness = stamps - sequences * PERIOD
+    lateness = (stamps - sequences * PERIOD)[1:]
     assert len(set(np.diff(stamps))) > 10, "no clockwork is as even as what is computed"
     assert np.median(lateness - lateness.min()) < PERIOD, "the clock of the samples is the wall clock"
     assert abs(stamps[-1] - time.time_ns()) < 5e9

@@ -65,12 +65,13 @@ def controller(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def run(new_graph: Callable, controller: Path) -> tuple[Path, str]:
-    """The bag of a controlled run in real time, and its namespace."""
+    """The bag of a controlled run in lockstep, and its namespace."""
     with new_graph() as graph:
         bag = graph.folder / "bag"
         graph.start("logger", output=str(bag), topics=["response", "brace_command", "ground_motion"])
-        graph.start("plant", autostart=False, duration=SAMPLES * 0.002, seed=3)
-        graph.start("ground_motion", record="white_noise", duration=SAMPLES * 0.002, rms=1.0, band=[0.5, 10.0])
+        lockstep = {"lockstep": True, "wait_for": ["brace_command", "ground_motion"]}
+        graph.start("plant", autostart=False, duration=SAMPLES * 0.002, seed=3, **lockstep)
+        graph.start("ground_motion", record="white_noise", duration=SAMPLES * 0.002, rms=0.3, band=[0.5, 10.0])
         graph.start("controller", "--params-file", controller)
         assert graph.change_state("plant", "configure")
         graph.until_matched("plant", response=3, brace_command=1, ground_motion=1)

@@ -157,6 +157,8 @@ def _spin(node: AbraceNode, signals: _Signals) -> int:
         # the garbage collector leaves out the objects made so far: its pauses would delay samples
         gc.collect()
         gc.freeze()
+        if not signals.stopped:
+            node.autostart()
         _turn(node, executor, lambda: signals.stopped or node.exit_code is not None)
         if node.exit_code is None:
             latest = time.monotonic() + node.leave()
@@ -221,8 +223,6 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
             signals.interrupt(node.work)
             exit_code = node.exit_code or 0
         else:
-            if not signals.stopped:
-                node.autostart()
             exit_code = _spin(node, signals)
     except AbraceError as error:
         print(f"{program}: {error}", file=sys.stderr, flush=True)

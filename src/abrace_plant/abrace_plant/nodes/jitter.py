@@ -105,6 +105,10 @@ class JitterNode(AbraceNode):
                 self.spin_until(
                     lambda: publisher.get_subscription_count() and subscription.get_publisher_count(), deadline
                 )
+                while not answers and time.monotonic() < deadline:
+                    # what is published before both have found each other is lost
+                    publisher.publish(Int64(data=-1))
+                    self.spin_until(lambda: answers, min(deadline, time.monotonic() + 0.1))
                 times = []
                 settling, count = (max(1, round(span / period)) for span in (SETTLE, self.parameters.duration))
                 for number in range(settling + count):
