@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
@@ -62,6 +62,7 @@ def least_distance(acceleration: float, velocity: float, table: Table) -> float:
     return whole
 
 
+@example(table=Table(1.0, 50.0, 0.744140625, 1.0), period=0.0005, a=1.0, v=0.22508385622652405, d=0.0)
 @given(table=tables, period=periods, a=shares, v=shares, d=shares)
 def test_any_stop_ends_at_rest_within_acceleration_and_jerk(table, period, a, v, d):
     start = a * table.peak_acceleration, v * table.peak_velocity, d * table.peak_displacement
