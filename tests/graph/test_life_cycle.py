@@ -139,6 +139,7 @@ def test_a_table_and_braces_configured_anew_answer_each_sample_once(graph):
 def test_a_stop_outlives_every_change_of_the_life_cycle_and_is_logged_once(graph):
     logged = graph.listen(Log, "/rosout")
     graph.start("plant")
+    graph.until(lambda: graph.values("plant").get("state") == "running", "the rig to run")
     press = graph.emergency_stop()
     press(True)
     graph.until_fault("plant", "protective stop")

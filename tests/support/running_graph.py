@@ -54,6 +54,13 @@ TRANSITIONS = {
     "cleanup": Transition.TRANSITION_CLEANUP,
     "shutdown": Transition.TRANSITION_ACTIVE_SHUTDOWN,
 }
+LEADS_TO = {
+    "configure": "inactive",
+    "activate": "active",
+    "deactivate": "inactive",
+    "cleanup": "unconfigured",
+    "shutdown": "finalized",
+}
 STREAM = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -225,9 +232,22 @@ class Graph:
         return answer.result()
 
     def change_state(self, name: str, transition: str) -> bool:
-        """Take a life cycle node through a transition; whether it went."""
+        """Take a life cycle node through a transition; whether it went.
+
+        Where a server dropped its answer to a client that it hardly knew, the state tells; else it is asked again.
+        """
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
-        return bool(self.call(ChangeState, f"{name}/change_state", request).success)
+        begin = time.monotonic()
+        while True:
+            asked, answer = time.monotonic(), self.ask(ChangeState, f"{name}/change_state", request)
+            self.until(lambda: answer.done() or time.monotonic() > asked + 6, f"an answer of {name}")  # noqa: B023
+            if answer.done():
+                result = answer.result()
+                assert result is not None
+                return bool(result.success)
+            if self.state(name) == LEADS_TO[transition]:
+                return True
+            assert time.monotonic() < begin + PATIENCE, f"no answer of {name} to {transition}; {self.reported()}"
 
     def state(self, name: str) -> str:
         """A life cycle node's state; asked again where a server dropped its answer to a new client."""
