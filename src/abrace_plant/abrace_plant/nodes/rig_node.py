@@ -127,6 +127,8 @@ class RigNode(AbraceLifecycleNode):
     def come_to_rest(self) -> None:
         """Bring braces and table to rest; the run ends with the first sample at which they are."""
         assert self.loop is not None
+        if self.loop.ending:
+            return
         self.safety.deactivate()
         self.loop.ending = True
         while self.lockstep and not self.loop.ended:
@@ -183,7 +185,8 @@ class RigNode(AbraceLifecycleNode):
             self.next_display = now + DISPLAY_PERIOD
             stamp = Time(sec=sample.stamp // 10**9, nanosec=sample.stamp % 10**9)
             self.later(lambda: self.show(stamp, reading[:floors]))
-        if sample.head.sequence == self.last and not self.lockstep:
+        # the last one itself may have been missed
+        if 0 <= self.last <= sample.head.sequence and not self.lockstep:
             self.done = True
             self.come_to_rest()
 
