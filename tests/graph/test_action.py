@@ -18,6 +18,7 @@ class Player:
 
     def __init__(self, graph) -> None:
         self.graph = graph
+        graph.by_the_clock = True
         graph.start("plant", command_timeout=0.5)
         graph.start("ground_motion")
         self.responses = graph.listen(Response, "response")
@@ -36,6 +37,7 @@ class Player:
         return future.result()
 
     def result(self, handle):
+        assert handle.accepted, self.graph.reported()
         future = handle.get_result_async()
         self.graph.until(future.done, "the result")
         return future.result()
@@ -125,5 +127,5 @@ def test_a_goal_with_wrong_values_is_told(player, wrong):
 
 
 def test_a_goal_is_refused_while_another_plays(player):
-    assert player.send(record="white_noise", duration=30.0).accepted
+    assert player.send(record="white_noise", duration=30.0).accepted, player.graph.reported()
     assert not player.send(record="el_centro").accepted

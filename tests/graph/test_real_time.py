@@ -1,7 +1,4 @@
-"""The rig by the clock: stamps, the controller in the loop, braces and table left alone by those who drove them.
-
-The loops run with a real-time priority, where that is allowed: the machine is busy with other tests.
-"""
+"""The rig by the clock: stamps, the controller in the loop, braces and table left alone by those who drove them."""
 
 from __future__ import annotations
 
@@ -22,19 +19,6 @@ from abrace_lqg.control_law import ControlLaw
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
-
-pytestmark = pytest.mark.flaky(
-    reruns=3,
-    only_rerun=[
-        "samples missed",
-        "samples lost",
-        "taken late",
-        "no brace_command for",
-        "no ground_motion for",
-        "no response",
-    ],
-)
-"""A machine that is held up for 20 ms is a fault by the clock, and has to be: a test that it broke off is repeated."""
 
 PERIOD = 2_000_000
 TIMEOUT = 0.02

@@ -94,6 +94,7 @@ def test_a_controller_of_its_own_controls_any_rig(graph, name, tmp_path):
 
 
 def test_a_rig_with_its_braces_off_is_the_bare_frame(graph):
+    graph.by_the_clock = True
     graph.start("plant", disconnected_braces=[1], command_timeout=0.5)
     graph.start("excitation", duration=60.0, rms=2000.0)
     responses = graph.listen(Response, "response")

@@ -77,7 +77,7 @@ class Graph:
         self.executor.add_node(self.node)
         self.started: dict[str, NodeProcess] = {}
         self.by_the_clock = False
-        """Whether the nodes that stream are started with a priority that keeps other tests from holding them up."""
+        """Whether nodes that stream get a real-time priority, where allowed: other tests keep the machine busy."""
         self.may_end: set[str] = set()
         """Names of nodes that may end while we wait."""
         self._clients: dict[str, Client] = {}
