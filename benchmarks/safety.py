@@ -15,6 +15,7 @@ import itertools
 import json
 import os
 import sys
+import time
 import traceback
 from functools import partial
 from pathlib import Path
@@ -78,6 +79,7 @@ class Tries:
             name, case = left.pop(0)
             counts = self.found.setdefault(name, {"passed": 0, "runs": 0})
             counts["runs"] += 1
+            began = time.monotonic()
             try:
                 bench = bench or make(graph)
                 bench.begin()
@@ -90,6 +92,10 @@ class Tries:
             finally:
                 if bench is not None:
                     self.worst_step = max(self.worst_step, worst_step(bench.responses))
+                took = time.monotonic() - began
+                print(
+                    f"{name}: {counts['passed']} of {counts['runs']} passed ({took:.1f} s)", file=sys.stderr, flush=True
+                )
 
 
 def safety(runs: int = RUNS, controller_runs: int = CONTROLLER_RUNS, only: tuple[str, ...] = ()) -> dict[str, Any]:
