@@ -1,6 +1,6 @@
 """Nodes that join a running rig: a rig by the clock and its commander, while others come and go. For `make soak`.
 
-faults           how often the rig did so without a command for `command_timeout`, 0.02 s by default, that it let go
+faults           joins at which the rig, with a `command_timeout` of 0.02 s as by default, let its braces go
 longest_hold_ms  the longest time for which one command was in force; each command is another force
 
 python benchmarks/joins.py COUNT
@@ -12,18 +12,17 @@ import json
 import os
 import subprocess
 import sys
-from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from isolation import isolated
 from rclpy.executors import SingleThreadedExecutor
-from std_srvs.srv import Trigger
+from running_graph import STREAM, Graph
 
-from abrace.processes.group import find_executable
-from abrace_core.node import DIAGNOSTICS, KEPT_STREAM_QOS
-from abrace_core.wire import Responses
+from abrace.processes.group import ProcessGroup
+from abrace_core.node import KEPT_STREAM_QOS
 from abrace_interfaces.msg import BraceCommand, Response
 
 if TYPE_CHECKING:
@@ -33,6 +32,7 @@ JOINS = 100
 SAMPLE_PERIOD_MS = 2.0
 ENOUGH = 50
 """Messages of each stream that a node receives before it leaves."""
+NAMESPACE = "/joins"
 
 
 class Node:
@@ -61,47 +61,6 @@ class Node:
         self.context.try_shutdown()
 
 
-class Watch(Node):
-    """Watches the rig, and clears its faults."""
-
-    def __init__(self) -> None:
-        super().__init__("watch")
-        self._responses = Responses()
-        self._command = 0.0
-        self._held = 0
-        self.longest = self.faults = self.driven = 0
-        self.faulty = False
-        self.clear = self.node.create_client(Trigger, "plant/clear_fault")
-        self.listen(Response, "response", self._on_response, raw=False)
-        self.listen(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, raw=False)
-
-    def _on_response(self, response: Response) -> None:
-        (command,) = response.command
-        same = command == self._command and command != 0.0
-        self._held = self._held + 1 if same else 1
-        self._command = command
-        self.driven += command != 0.0
-        self.longest = max(self.longest, self._held)
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.name == "plant: state":
-                fault = status.level == DiagnosticStatus.ERROR
-                if fault and not self.faulty:
-                    self.faults += 1
-                    print(f"join: {status.message}", file=sys.stderr)
-                self.faulty = fault
-
-    def recover(self) -> None:
-        """Have the rig driven again."""
-        while self.faulty:
-            answer = self.clear.call_async(Trigger.Request())
-            self.until(answer.done)
-            self.faulty = not answer.result().success
-        driven = self.driven
-        self.until(lambda: self.driven > driven + ENOUGH or self.faulty)
-
-
 def join() -> None:
     """Come, receive both streams, leave."""
     node = Node("viewer")
@@ -114,38 +73,81 @@ def join() -> None:
         return received
 
     for message_type, topic in ((Response, "response"), (BraceCommand, "brace_command")):
-        node.listen(message_type, topic, count(message_type))
+        node.listen(message_type, f"{NAMESPACE}/{topic}", count(message_type))
     node.until(lambda: min(counts.values()) >= ENOUGH)
     node.close()
 
 
-def _ended(process: subprocess.Popen[bytes]) -> bool:
-    return process.poll() is not None
+class DrivenRig:
+    """A rig by the clock whose braces an `excitation` drives."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self.held = self.longest = self.driven = 0
+        self.command = 0.0
+        graph.by_the_clock = True
+        graph.node.create_subscription(Response, "response", self._on_response, STREAM)
+        graph.start("plant")
+        graph.start("excitation", rms=3000.0, duration=3600.0)
+        self.recover()
+
+    def _on_response(self, response: Response) -> None:
+        (command,) = response.command
+        self.held = self.held + 1 if command == self.command != 0.0 else 1
+        self.driven = self.driven + 1 if command else 0
+        self.command = command
+        self.longest = max(self.longest, self.held)
+
+    @property
+    def fault(self) -> str:
+        """That the rig reports; empty: none."""
+        status = self.graph.statuses.get("plant")
+        return status.message if status is not None and status.level == DiagnosticStatus.ERROR else ""
+
+    def recover(self) -> None:
+        """Have the braces driven, again if need be."""
+        graph = self.graph
+        while True:
+            graph.until(lambda: self.driven > ENOUGH or self.fault, "the braces to be driven")
+            if not self.fault:
+                return
+            assert graph.change_state("excitation", "deactivate")
+            graph.clear_fault("excitation")
+            graph.until(lambda: graph.clear_fault("plant").success, "the rig to be cleared")
+            graph.until(lambda: not self.fault, "the rig to be well")
+            assert graph.change_state("excitation", "activate")
+
+    def joined(self) -> str:
+        """Let a node come and leave; the rig's fault meanwhile."""
+        joining = subprocess.Popen([sys.executable, __file__, "join"])
+        self.graph.until(lambda: joining.poll() is not None, "the viewer to leave", 60.0)
+        if joining.returncode:
+            raise subprocess.CalledProcessError(joining.returncode, "join")
+        # a fault is reported at once, but not before the force is let go
+        driven = self.driven
+        self.graph.until(lambda: self.driven > driven + ENOUGH or self.fault, "the braces to be driven")
+        return self.fault
 
 
 def joins(count: int = JOINS) -> dict[str, Any]:
     """So many joins, one after another; call it on a domain of one's own."""
-    commands = [find_executable("abrace_plant", "plant"), find_executable("abrace_sysid", "excitation")]
-    priority = ["--ros-args", "-p", "thread_priority:=50"]
-    processes = [subprocess.Popen([str(command), *priority]) for command in commands]
-    watch = Watch()
-    try:
-        watch.until(lambda: watch.driven > ENOUGH)
-        while watch.faulty:
-            watch.recover()
-        watch.faults = watch.longest = 0
-        for _ in range(count):
-            joining = subprocess.Popen([sys.executable, __file__, "join"])
-            watch.until(partial(_ended, joining))
-            if joining.returncode:
-                raise subprocess.CalledProcessError(joining.returncode, "join")
-            watch.recover()
-        return {"joins": count, "faults": watch.faults, "longest_hold_ms": SAMPLE_PERIOD_MS * watch.longest}
-    finally:
-        for process in processes:
-            process.terminate()
-            process.wait()
-        watch.close()
+    context = rclpy.Context()
+    context.init()
+    with ProcessGroup() as processes:
+        graph = Graph(NAMESPACE, Path.cwd(), context, processes)
+        try:
+            rig = DrivenRig(graph)
+            rig.longest = faults = 0
+            for number in range(1, count + 1):
+                if fault := rig.joined():
+                    faults += 1
+                    print(f"join {number}: {fault}", file=sys.stderr)
+                    rig.recover()
+                print(f"join {number} of {count}: {faults} faults", end="\r", file=sys.stderr, flush=True)
+            return {"joins": count, "faults": faults, "longest_hold_ms": SAMPLE_PERIOD_MS * rig.longest}
+        finally:
+            graph.close()
+            context.try_shutdown()
 
 
 def main() -> None:

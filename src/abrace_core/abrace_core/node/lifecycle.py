@@ -60,7 +60,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         LifecycleNodeMixin.__init__(self)
         self._rest = threading.Condition(self.lock)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(real_time.GARBAGE_PERIOD, gc.collect, clock=steady)
+        self.create_timer(real_time.GARBAGE_PERIOD, real_time.collect_new_garbage, clock=steady)
         self.keep_endpoints()
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
@@ -207,7 +207,9 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         """Life cycle callback."""
         result = self._transition(self.configure)
         self.configured = result == TransitionCallbackReturn.SUCCESS
-        if not self.configured:
+        if self.configured:
+            real_time.collect_garbage()
+        else:
             self._destroy_endpoints()
         return result
 
@@ -234,6 +236,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         with self.lock:
             result = self._transition(self.activate)
             self.active = result == TransitionCallbackReturn.SUCCESS
+            real_time.leave_out_of_collections()
             if not self.active:
                 self.due = None
         self.rouse()
@@ -247,6 +250,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         with self.lock:
             self.active = False
             result = self._transition(self.deactivate, TransitionCallbackReturn.ERROR)
+        real_time.collect_garbage()
         return result if resting == TransitionCallbackReturn.SUCCESS else resting
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:

@@ -7,7 +7,6 @@ wrong, where, and what was expected).
 from __future__ import annotations
 
 import ctypes
-import gc
 import os
 import select
 import signal
@@ -25,6 +24,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from abrace_core.errors import AbraceError
+from abrace_core.node import real_time
 from abrace_core.node.conventions import AbraceNode, RCLError, rcl_message
 from abrace_core.node.threads import LONGEST_WAIT
 
@@ -154,9 +154,8 @@ def _turn(node: AbraceNode, executor: Executor, over: Callable[[], bool]) -> Non
 def _spin(node: AbraceNode, signals: _Signals) -> int:
     """Spin until the node finishes, or has come to rest after a signal; returns the exit code."""
     with node.spun() as executor:
-        # the garbage collector leaves out the objects made so far: its pauses would delay samples
-        gc.collect()
-        gc.freeze()
+        # its pauses would delay samples
+        real_time.collect_garbage()
         if not signals.stopped:
             node.autostart()
         _turn(node, executor, lambda: signals.stopped or node.exit_code is not None)

@@ -56,7 +56,6 @@ class SimulatedRig:
 
     def __init__(self, rig: Rig, seed: int, by_the_clock: bool) -> None:
         self._period = 1 / rig.sample_rate
-        self._rig = rig
         self._motion = RigMotion(rig)
         channels = rig.sensors.channels(rig.floors, rig.groups)
         self._measurement = Measurement(channels, seed, self._period)
@@ -71,8 +70,6 @@ class SimulatedRig:
 
     def open(self) -> None:
         """Begin: the first sample is due now."""
-        # the first step of a motion takes long: what it is compiled to is loaded
-        RigMotion(self._rig).outputs(0.0, np.zeros(self._rig.groups))
         self._start = time.monotonic()
 
     def exchange(self, command: Sequence[float], table: float) -> Reading:
