@@ -32,7 +32,6 @@ JOINS = 100
 SAMPLE_PERIOD_MS = 2.0
 ENOUGH = 50
 """Messages of each stream that a node receives before it leaves."""
-NAMESPACE = "/joins"
 
 
 class Node:
@@ -61,7 +60,7 @@ class Node:
         self.context.try_shutdown()
 
 
-def join() -> None:
+def join(namespace: str) -> None:
     """Come, receive both streams, leave."""
     node = Node("viewer")
     counts = dict.fromkeys((Response, BraceCommand), 0)
@@ -73,7 +72,7 @@ def join() -> None:
         return received
 
     for message_type, topic in ((Response, "response"), (BraceCommand, "brace_command")):
-        node.listen(message_type, f"{NAMESPACE}/{topic}", count(message_type))
+        node.listen(message_type, f"{namespace}/{topic}", count(message_type))
     node.until(lambda: min(counts.values()) >= ENOUGH)
     node.close()
 
@@ -119,7 +118,7 @@ class DrivenRig:
 
     def joined(self) -> str:
         """Let a node come and leave; the rig's fault meanwhile."""
-        joining = subprocess.Popen([sys.executable, __file__, "join"])
+        joining = subprocess.Popen([sys.executable, __file__, "join", self.graph.namespace])
         self.graph.until(lambda: joining.poll() is not None, "the viewer to leave", 60.0)
         if joining.returncode:
             raise subprocess.CalledProcessError(joining.returncode, "join")
@@ -134,7 +133,7 @@ def joins(count: int = JOINS) -> dict[str, Any]:
     context = rclpy.Context()
     context.init()
     with ProcessGroup() as processes:
-        graph = Graph(NAMESPACE, Path.cwd(), context, processes)
+        graph = Graph("/joins", Path.cwd(), context, processes)
         try:
             rig = DrivenRig(graph)
             rig.longest = faults = 0
@@ -159,6 +158,6 @@ def main() -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["join"]:
-        join()
+        join(sys.argv[2])
     else:
         main()

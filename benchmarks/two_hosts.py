@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hosts import Link, missing, on, two_hosts
 from isolation import isolated
@@ -66,8 +65,6 @@ class Case:
         Whether the operator presses the stop button as it begins, and releases it when all is over.
     command_timeout
         Of the rig [s].
-    quick_repair
-        Whether Fast DDS is set to look for lost messages every 4 ms, by the file of that name.
     """
 
     name: str
@@ -75,7 +72,6 @@ class Case:
     conditions: dict[str, float] = field(default_factory=dict)
     press: bool = False
     command_timeout: float = 0.02
-    quick_repair: bool = False
 
 
 LINKS = (
@@ -97,10 +93,8 @@ LINKS = (
 LONGER = 0.05
 CASES = (
     *LINKS,
-    *(replace(case, quick_repair=True) for case in LINKS),
     *(
-        replace(case, command_timeout=LONGER, quick_repair=repair)
-        for repair in (False, True)
+        replace(case, command_timeout=LONGER)
         for case in LINKS
         if case.name in ("cut for 10 ms", "delay 15 ms", "1 % loss", "5 % loss")
     ),
@@ -269,7 +263,7 @@ def operate(cases: Sequence[Case], rig: int, link: Link) -> list[dict[str, Any]]
 
 def setting_of(case: Case) -> str:
     """The name of the graph that a case needs."""
-    return f"timeout_{case.command_timeout:g}{'_quick_repair' if case.quick_repair else ''}"
+    return f"timeout_{case.command_timeout:g}"
 
 
 def measure(row: dict[str, Any], response: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -319,9 +313,6 @@ def run_cases(cases: Sequence[Case]) -> list[dict[str, Any]]:
             chosen = [case for case in cases if setting_of(case) == setting]
             # nodes look for each other on the whole link
             environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "OMP_NUM_THREADS": "1"}
-            if chosen[0].quick_repair:
-                share = Path(get_package_share_directory("abrace_bringup"))
-                environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(share / "config/quick_repair.xml")
             command = [*on(desk), sys.executable, __file__, "operate", str(rig), str(control), f"{setting}.json"]
             asked = json.dumps([asdict(case) for case in chosen])
             subprocess.run(command, input=asked, env=environment, text=True, check=True)
@@ -341,7 +332,6 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
         (
             "disturbance",
             "time-out",
-            "quick repair",
             "fault",
             "force zero",
             "step / limit",
@@ -354,7 +344,6 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
             (
                 row["name"],
                 f"{row['command_timeout']:g}",
-                "yes" if row["quick_repair"] else "-",
                 milliseconds(row["fault_ms"]),
                 milliseconds(row["zero_ms"]),
                 f"{row['worst_step_over_limit']:.2f}",

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from typing import TYPE_CHECKING, Any
 
+import joins
 import numpy as np
 import pytest
 from geometry_msgs.msg import AccelStamped
@@ -287,6 +290,18 @@ def test_a_stop_is_obeyed_by_all_and_the_signal_does_not_begin_again_by_itself(g
     for transition in ("deactivate", "activate"):
         assert graph.change_state("excitation", transition)
     until_driven(graph)
+
+
+def test_nodes_come_and_go_while_the_braces_push(graph):
+    join(graph, "excitation", **DRIVEN)
+    until_driven(graph)
+    del graph.responses[:-1]
+    for _ in range(2):
+        viewer = subprocess.Popen([sys.executable, joins.__file__, "join", graph.namespace])
+        graph.until(lambda viewer=viewer: viewer.poll() is not None, "the viewer to leave")
+        assert viewer.returncode == 0
+    until_samples(graph, 50)
+    assert {response.state for response in graph.responses} == {Response.RUNNING}, graph.reported()
 
 
 def test_a_rig_that_stands_still_is_a_fault_for_all_who_command_it(graph):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -98,6 +99,12 @@ def may_have_priority() -> bool:
     return subprocess.run([sys.executable, "-c", tried], stderr=subprocess.DEVNULL, check=False).returncode == 0
 
 
+def shared_memory(process: subprocess.Popen) -> set[str]:
+    """Files of the middleware's messages in shared memory that a process has open."""
+    opened = Path(f"/proc/{process.pid}/maps").read_text()
+    return set(re.findall(r"/dev/shm/fastrtps_\S+", opened))
+
+
 @pytest.fixture
 def shaker(graph: Any) -> Iterator[subprocess.Popen]:
     """A node that ticks, and takes 100 ticks to come to rest."""
@@ -129,6 +136,8 @@ def test_the_loop_goes_on_while_services_work_and_comes_to_rest_before_it_is_dea
     assert said.message == "MainThread MainThread services services"
     assert said.success, "what was configured is left out of the collections of garbage that hold up the loop"
 
+    assert not shared_memory(shaker), "there a node that joins would hold up the loop"
+
     assert graph.change_state("shaker", "deactivate")
     shaker.send_signal(signal.SIGINT)
     output = shaker.communicate(timeout=30)[0].splitlines()
@@ -143,3 +152,16 @@ def test_a_node_that_a_signal_ends_comes_to_rest_before(graph, shaker):
         shaker.send_signal(number)
     assert shaker.communicate(timeout=30)[0].splitlines()[-1] == "closed at 0"
     assert shaker.returncode == 0
+
+
+@pytest.fixture
+def own_choice(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A profile of the user's own, which chooses nothing."""
+    profile = tmp_path / "own.xml"
+    profile.write_text('<dds xmlns="http://www.eprosima.com"><profiles/></dds>')
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+
+
+@pytest.mark.usefixtures("own_choice")
+def test_whoever_has_a_profile_of_their_own_chooses_the_transports(shaker):
+    assert shared_memory(shaker)

@@ -11,8 +11,8 @@ from abrace_core.safety.rig_safety import RAMP_TIME, State
 pytestmark = pytest.mark.skipif(bool(hosts.missing()), reason=f"no two hosts here: {hosts.missing()}")
 
 CASES = (
-    two_hosts.Case("cut", 0.3, {"cut": True}, quick_repair=True),
-    two_hosts.Case("stop", 0.5, {"loss": 0.05}, press=True, quick_repair=True),
+    two_hosts.Case("cut", 0.3, {"cut": True}),
+    two_hosts.Case("stop", 0.5, {"loss": 0.05}, press=True),
 )
 
 

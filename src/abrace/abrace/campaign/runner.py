@@ -37,6 +37,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import save_model
 from abrace_core.node import DIAGNOSTICS, find_file
+from abrace_core.node.transport import CHOICES
 from abrace_core.progress import Progress
 from abrace_plant.devices.file import calibration_of, load_device
 from abrace_plant.records.files import record_file
@@ -56,6 +57,8 @@ SEED = 7
 """Seed of the first test's sensor noise; each later test takes the next one."""
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 """Campaigns on the simulated rig stay on this machine, unless the environment says otherwise."""
+SHARED_MEMORY = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
+"""In lockstep nothing is late, and messages travel as is fastest, unless the environment says otherwise."""
 
 
 @dataclass
@@ -74,7 +77,10 @@ class _Runner:
     def environment(self) -> dict[str, str]:
         """Variables that the nodes get in addition to ours."""
         single = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        return {**{key: value for key, value in LOCAL.items() if key not in os.environ}, **single}
+        own = {key: value for key, value in LOCAL.items() if key not in os.environ}
+        if self.campaign.lockstep and not any(name in os.environ for name in CHOICES):
+            own |= SHARED_MEMORY
+        return {**own, **single}
 
     def start(
         self, group: ProcessGroup, step: str, package: str, executable: str, parameters: dict[str, Any], name: str = ""

@@ -85,6 +85,8 @@ class AbraceNode(Node):
 
     due: float | None = None
     """When `tick` is to be called [s, monotonic]; None: not at all. Set from another thread it takes a `rouse`."""
+    streams = False
+    """Whether its messages are never to be held up: it has two threads, and streams.xml is for it."""
     exit_code: int | None = None
     """Of the process, once the node has finished."""
     reported_fault: str | None = None

@@ -46,6 +46,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
     methods named above are called with it. What the loop has to say goes there by `later`.
     """
 
+    streams = True
     configured = False
     active = False
     ramp_time = 0.5

@@ -6,6 +6,7 @@ wrong, where, and what was expected).
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import select
@@ -27,6 +28,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.node import real_time
 from abrace_core.node.conventions import AbraceNode, RCLError, rcl_message
 from abrace_core.node.threads import LONGEST_WAIT
+from abrace_core.node.transport import for_streams
 
 EVENTS_WHEN_LATE = 3
 """Callbacks between two ticks of a node that is late: without the answers in them it cannot catch up."""
@@ -213,11 +215,12 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
     try:
         if END_WITH in os.environ:
             _end_with(os.environ[END_WITH])
-        _initialize(arguments)
-        try:
-            node = create()
-        except RCLError as error:
-            raise AbraceError(f"the node cannot be made: {rcl_message(error)}") from error
+        with for_streams() if getattr(create, "streams", False) else contextlib.nullcontext():
+            _initialize(arguments)
+            try:
+                node = create()
+            except RCLError as error:
+                raise AbraceError(f"the node cannot be made: {rcl_message(error)}") from error
         if hasattr(node, "work"):
             signals.interrupt(node.work)
             exit_code = node.exit_code or 0

@@ -1,0 +1,55 @@
+"""How the messages of a node that streams travel: as `config/streams.xml` says, by UDP alone and with quick repair.
+
+Before its first message to a listener in shared memory Fast DDS asks whether it is alive, and may sleep a third of a
+second for the answer (`SharedMemGlobal::Port::healthy_check`): in `publish`, in the middle of a run, when a node joins.
+By UDP a reader that joins a running writer is told only by heartbeats that what is older than itself is not for it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+
+_PROFILES_FILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+CHOICES = (_PROFILES_FILE, "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
+"""Environment variables by which people choose transports themselves."""
+
+_THIS_HOST = """<rtps>
+<builtin>
+<metatrafficUnicastLocatorList><locator><udpv4/></locator></metatrafficUnicastLocatorList>
+<initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4></locator></initialPeersList>
+</builtin>
+"""
+"""What rmw_fastrtps 8.4 does for ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, where it adds shared memory by itself."""
+
+
+@contextlib.contextmanager
+def for_streams() -> Iterator[None]:
+    """Have the participant that this process makes meanwhile take `streams.xml`, unless the environment chooses.
+
+    It does where one of CHOICES is set, or static peers go with a discovery range of LOCALHOST.
+    """
+    reach = os.environ.get(_RANGE, "")
+    local = reach.upper() == "LOCALHOST"
+    if any(name in os.environ for name in CHOICES) or (local and os.environ.get("ROS_STATIC_PEERS")):
+        yield
+        return
+    installed = Path(get_package_share_directory("abrace_core")) / "config/streams.xml"
+    with tempfile.NamedTemporaryFile("w", prefix="abrace_", suffix=".xml") as file:
+        os.environ[_PROFILES_FILE] = str(installed)
+        if local:
+            file.write(installed.read_text(encoding="utf-8").replace("<rtps>", _THIS_HOST))
+            file.flush()
+            os.environ.update({_PROFILES_FILE: file.name, _RANGE: "SYSTEM_DEFAULT"})
+        try:
+            yield
+        finally:
+            del os.environ[_PROFILES_FILE]
+            if local:
+                os.environ[_RANGE] = reach
