@@ -165,9 +165,9 @@ def test_two_commanders_at_once_are_a_fault(graph):
     graph.until(lambda: graph.values("second").get("signal") == "cancelled", "the second to be told")
     graph.until(lambda: graph.values("excitation").get("signal") == "cancelled", "the first to be told")
     graph.until(lambda: not graph.responses[-1].command[0], "the force to go to zero")
-    command = commands(graph)
-    last = np.flatnonzero(command)[-1]
-    expect_smooth_end(command[last - RAMP_SAMPLES + 1 :])
+    falling = next(k for k, one in enumerate(graph.responses) if one.state == Response.RAMPING_DOWN)
+    # what was in force until that sample was still a commander's
+    expect_smooth_end(commands(graph)[falling + 1 :])
 
 
 # a small law of the last three samples alone, so that it is known bit for bit from any sample on
