@@ -44,11 +44,28 @@ def test_a_sample_is_answered_by_a_command_and_the_next_sample_comes(target):
         assert target.last.enabled
 
 
-def test_of_samples_that_have_arrived_the_newest_is_used_and_the_others_are_missed(target):
+def test_samples_that_wait_after_a_hold_up_are_used_one_after_the_other_and_are_late(target):
+    waiting = []
     for _ in range(4):
-        newest = target.tick()
-    reading = target.device.exchange([0.0], 0.0)
-    assert (reading.values[0], reading.missed) == (newest, 3)
+        waiting.append(target.tick())
+        time.sleep(1.5e-9 * PERIOD)
+    readings = [target.device.exchange([0.0], 0.0) for _ in waiting]
+    assert [(reading.values[0], reading.missed, reading.late) for reading in readings] == [
+        (counter, 0, True) for counter in waiting
+    ]
+    assert (np.diff([reading.stamp for reading in readings]) > 0).all()
+
+
+def test_after_a_pause_longer_than_the_time_out_the_newest_sample_is_used_and_the_others_are_missed(tmp_path):
+    with UdpTarget(device_file(tmp_path, timeout=0.2)) as target:
+        target.open()
+        time.sleep(0.3)
+        target.keep_time()
+        for _ in range(3):
+            newest = target.tick()
+            time.sleep(1.5e-9 * PERIOD)
+        reading = target.device.exchange([0.0], 0.0)
+        assert (reading.values[0], reading.late) == (newest, False)
 
 
 def test_samples_that_were_lost_are_missed(target):

@@ -63,7 +63,7 @@ class UdpTarget:
         self.socket.bind(file.sender)
         self.socket.settimeout(5.0)
         self.to = "127.0.0.1", file.local_port
-        self.counter = 1000
+        self.counter = self.sent = 1000
 
     @staticmethod
     def device_of(path: Path) -> UdpDevice:
@@ -103,6 +103,7 @@ class UdpTarget:
     def tick(self) -> int:
         """Send the next good sample; returns its counter."""
         self.counter += 1
+        self.sent = self.counter
         self.send(self.sample(self.counter))
         return self.counter
 
@@ -153,7 +154,7 @@ def malformed(target: UdpTarget, kind: str, amount: int, content: bytes) -> byte
     if kind == "counter":
         return target.sample((target.counter + 10**5 + amount) % 2**32)
     if kind == "old":
-        return target.sample((target.counter - 1 - amount % 1000) % 2**32)
+        return target.sample((target.sent - 1 - amount % 1000) % 2**32)
     if kind == "small_jump":
         return target.sample(target.counter + 2 + amount % 8, time=(target.counter + 1) * PERIOD)
     if kind == "value":
@@ -161,7 +162,7 @@ def malformed(target: UdpTarget, kind: str, amount: int, content: bytes) -> byte
         for place in (amount, amount + 1):
             values[place % len(CHANNELS)] = (math.nan, math.inf, -math.inf, 1.7e308)[amount % 4]
         return target.sample(target.counter + 1, values)
-    good = bytearray(target.sample(target.counter))
+    good = bytearray(target.sample(target.sent))
     if kind == "cut":
         return bytes(good[: amount % len(good)])
     if kind == "longer":

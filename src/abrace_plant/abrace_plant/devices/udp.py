@@ -1,7 +1,8 @@
 """A target that sends one UDP packet a tick and takes one: Speedgoat, dSPACE, LabVIEW, Simulink, a board of one's own.
 
 What arrives is judged packet by packet; what is not from the target, not whole, not finite or not the next sample is
-dropped and counted by its name. A tick's sample is used when it is the newest that has arrived.
+dropped and counted by its name. Samples are used in their order, one for each exchange: after a hold-up those that wait
+are taken late, one after the other, unless they are older than the time-out.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import contextlib
 import select
 import socket
 import time
-from collections import Counter
+from collections import Counter, deque
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -187,7 +188,7 @@ class UdpDevice:
                     found = self._found_instead(self.dropped)
                     raise DeviceError(f"{self._name}: no good samples within {OPEN_TIME:g} s; {found}")
                 self._send(self._last_outputs, enable=False)
-                self._newest(time.monotonic() + ASKING_PERIOD)
+                self._next(time.monotonic() + ASKING_PERIOD, newest=True)
         except DeviceError:
             self.close()
             raise
@@ -195,8 +196,9 @@ class UdpDevice:
     def exchange(self, command: Sequence[float], table: float) -> Reading:
         """Send `command` (groups,) [N] and the `table`'s acceleration [m/s^2]; wait for the target's next sample.
 
-        Of samples that have arrived already the newest is taken. `missed` counts those before it and those that were
-        lost on the way.
+        Of samples that have arrived already the oldest is taken that is not stale; `late` says that it is a period old.
+        `missed` counts those that were stale or lost on the way. After a pause longer than the time-out the newest one
+        is taken.
 
         Raises
         ------
@@ -207,10 +209,11 @@ class UdpDevice:
         self._last_outputs = self.calibration.outputs([*command, table])
         begun = time.monotonic()
         self._send(self._last_outputs, enable=True)
-        if begun - self._exchanged > self.file.timeout:
+        paused = begun - self._exchanged > self.file.timeout
+        if paused:
             self._heard = begun
         self._exchanged = begun
-        content = self._newest(begun + self.file.timeout)
+        content = self._next(begun + self.file.timeout, newest=paused)
         if content is None:
             found = self._found_instead(self.dropped - before)
             self._begin()
@@ -219,7 +222,7 @@ class UdpDevice:
             self._exchanged = 0.0
             raise DeviceError(f"{self._name}: has not taken a command for {1e3 * self.file.timeout:g} ms")
         values, clipped = self.calibration.measured(np.array(content.signals, dtype=np.float64))
-        return Reading(values, self._stamp, clipped, self._ticks - 1)
+        return Reading(values, self._stamp, clipped, self._ticks - 1, self._late)
 
     def make_safe(self) -> None:
         """Tell the target to bring force and table to rest by itself, and send nothing more: its life counter stops.
@@ -247,7 +250,9 @@ class UdpDevice:
         self._exchanged = self._heard = 0.0
         self._used = time.monotonic_ns()
         self._answered: int | None = None
-        self._stamp = self._ticks = 0
+        self._waiting: deque[tuple[Content, int, int]] = deque()
+        self._stamp = self._newest = self._since = self._ticks = 0
+        self._late = False
         self.calibration.reset()
 
     def _send(self, outputs: list[float], enable: bool) -> None:
@@ -262,56 +267,67 @@ class UdpDevice:
         except OSError as error:
             raise DeviceError(f"{self._name}: cannot send: {error.strerror}") from error
 
-    def _newest(self, deadline: float) -> Content | None:
-        """The newest good sample, as soon as one is there and nothing more has arrived; None at the deadline [s]."""
-        newest: Content | None = None
+    def _next(self, deadline: float, newest: bool) -> Content | None:
+        """The next good sample, or the newest that has arrived, as soon as one is there; None at the deadline [s]."""
         self._ticks = 0
+        while True:
+            self._look(deadline)
+            while self._waiting:
+                content, stamp, ticks = self._waiting.popleft()
+                self._ticks += ticks
+                age = time.time_ns() - stamp - 1e9 * self.calibration.delay
+                if age > 1e9 * self.file.timeout:
+                    self.dropped["stale"] += 1
+                elif not (newest and self._waiting):
+                    self.samples += 1
+                    self._stamp, self._late = stamp, age >= self._period and not newest
+                    return content
+            wait = deadline - time.monotonic()
+            if wait <= 0:
+                return None
+            self._poll.poll(1e3 * wait)
+
+    def _look(self, deadline: float) -> None:
+        """Judge every packet that has arrived; those that come all the time not beyond the deadline [s]."""
         assert self._socket is not None
         receive, size = self._socket.recvfrom, self._samples.length + 1
         while True:
             try:
                 packet, sender = receive(size)
             except BlockingIOError:
-                if newest is not None:
-                    return newest
-                wait = deadline - time.monotonic()
-                if wait <= 0:
-                    return None
-                self._poll.poll(1e3 * wait)
-                continue
+                return
             except OSError as error:
                 raise DeviceError(f"{self._name}: cannot receive: {error.strerror}") from error
             try:
-                newest = self._judged(packet, sender)
+                self._judge(packet, sender)
             except Malformed as fault:
                 self.dropped[str(fault)] += 1
             if time.monotonic() >= deadline:
-                return newest
+                return
 
-    def _judged(self, packet: bytes, sender: tuple[str, int]) -> Content:
-        """What the packet says, if its sample may be used; keeps its stamp and the ticks since the last one used."""
+    def _judge(self, packet: bytes, sender: tuple[str, int]) -> None:
+        """Keep what the packet says with its stamp and the ticks since the last good one, if it may be used."""
         if sender != self._sender:
             raise Malformed("other_sender")
         content = self._samples.decode(packet)
         now, wall = time.monotonic_ns(), time.time_ns()
         longest = self._allowed + int((now - self._used) / self._period)
-        ticks = self._order.advance(content.counter, content.time, longest)
+        self._since += self._order.advance(content.counter, content.time, longest)
         self._used = now
         if self._samples.wall_clock and content.time is not None:
             age = float(wall - content.time)
         else:
             own = content.time if content.time is not None else round(self._order.ticks * self._period)
             age = self._clock.age(own, now)
-        self._ticks += ticks
         if abs(age) > 1e9 * self.file.timeout:
             raise Malformed("stale")
-        self.samples += 1
-        self._stamp = max(wall - round(age + 1e9 * self.calibration.delay), self._stamp + 1)
+        self._newest = max(wall - round(age + 1e9 * self.calibration.delay), self._newest + 1)
+        self._waiting.append((content, self._newest, self._since))
+        self._since = 0
         if content.answered is not None and content.answered != self._answered:
             behind = (self._counter - content.answered) % self._echo
             if behind <= self._allowed:
                 self._answered, self._heard = content.answered, time.monotonic()
-        return content
 
     def _found_instead(self, dropped: Counter[str]) -> str:
         """What was received and not used, in words."""
