@@ -183,6 +183,27 @@ def test_it_is_cleared_at_rest_alone_and_then_the_force_fades_in(bench):
     assert np.abs(np.diff(force)).max() < 8000.0 * np.pi / 2 / (RAMP_TIME * 500) * 1.02
 
 
+def test_a_sender_that_is_too_late_to_act_has_to_be_at_rest_all_the_same(bench):
+    bench.drive([8000.0] * 10)
+    bench.safety.fault("test")
+    bench.drive([0.0] * 400)
+
+    def answer_too_late(force: float, fault: str = "") -> None:
+        for _ in range(3 * round(TIMEOUT * 500)):
+            bench.step()
+            bench.loop.receive_command(RUN, bench.loop.sequence - 12, [force], fault)
+
+    answer_too_late(8000.0)
+    assert bench.loop.moving() == "brace_command still asks for 8000"
+    answer_too_late(0.0, "latched")
+    assert bench.loop.moving() == "brace_command: its sender reports a fault: latched"
+    answer_too_late(0.0)
+    assert not bench.loop.moving()
+    bench.loop.receive_command(RUN - 1, 0, [500.0], "")
+    bench.loop.receive_ground_acceleration(-1, 0.5)
+    assert bench.loop.moving() == "brace_command still asks for 500; ground_motion still asks for 0.5"
+
+
 def reading(bench, missed=0, late=False) -> Reading:
     """The device's next one, that many samples late."""
     return bench.device.exchange([0.0], 0.0)._replace(missed=missed, late=late)

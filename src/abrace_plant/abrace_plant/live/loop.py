@@ -54,7 +54,7 @@ class Sample(NamedTuple):
 
 
 class _Input:
-    """What comes on one input: which samples have been answered, and the answer that has not acted yet."""
+    """What comes on one input: which samples are answered, the answer that has not acted yet, and the last message."""
 
     def __init__(self, name: str, timeout: int) -> None:
         self.name = name
@@ -62,7 +62,7 @@ class _Input:
         self.pending: Sequence[float] | None = None
         self.last: Sequence[float] = ()
         self.fault = ""
-        self.answered = -1
+        self.answered = self.heard = -1
         self.late = 0
 
     def receive(self, sequence: int, value: Sequence[float], now: int) -> str:
@@ -70,6 +70,7 @@ class _Input:
 
         One that is later than the time-out does not act.
         """
+        self.hear(value, now)
         if sequence > now or sequence < max(self.answered, now - self.timeout):
             self.late += 1
             return ""
@@ -78,8 +79,12 @@ class _Input:
         if sequence < now:
             self.late += 1
         self.answered = sequence
-        self.pending = self.last = value
+        self.pending = value
         return ""
+
+    def hear(self, value: Sequence[float], now: int) -> None:
+        """Note a message, which may be no answer, after sample `now`."""
+        self.heard, self.last = now, value
 
     def take(self) -> Sequence[float] | None:
         """The answer that has not acted yet."""
@@ -91,8 +96,8 @@ class _Input:
         return now - self.answered > self.timeout
 
     def moving(self, now: int) -> str:
-        """Why the input is not at rest; empty: it is."""
-        if self.silent(now):
+        """Why the input is not at rest, be its answers too late to act or not; empty: it is."""
+        if now - self.heard > self.timeout:
             return ""
         if self.fault:
             return f"{self.name}: its sender reports a fault: {self.fault}"
@@ -177,10 +182,11 @@ class RigLoop:
 
     def receive_command(self, run: int, sequence: int, force: Sequence[float], fault: str) -> None:
         """Accept a BraceCommand: `force` (groups,) [N] answers sample `sequence` of a `run`; `fault`: its sender's."""
+        given = self._inputs[COMMAND]
         if run != self.run:
             self.old += 1
+            given.hear(force, self.sequence)
             return
-        given = self._inputs[COMMAND]
         if problem := given.receive(sequence, force, self.sequence):
             self._safety.fault(problem)
         given.fault = fault
@@ -192,6 +198,7 @@ class RigLoop:
         sequence = next((number for known, number in self._stamps if known == stamp), -1)
         if sequence < 0:
             self.old += 1
+            self._inputs[GROUND].hear([acceleration], self.sequence)
         elif problem := self._inputs[GROUND].receive(sequence, [acceleration], self.sequence):
             self._safety.fault(problem)
 
