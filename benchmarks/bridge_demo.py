@@ -37,6 +37,8 @@ from abrace_plant.live.jitter import Arrivals, Jitter, bare_timer
 from abrace_plant.nodes.jitter import JitterNode
 
 SECONDS, RATE, PRIORITY = 160.0, 500.0, 50
+TARGET_PRIORITY = 20
+"""Beyond that of the loops: a real target has a processor of its own."""
 PATIENCE = 30.0
 SETTLE = 1.0
 """Seconds of the run whose answers are not timed: what was published while nothing was spun comes all at once."""
@@ -130,8 +132,8 @@ def bridge_demo(seconds: float = SECONDS, rate: float = RATE, priority: int = PR
     }
     with ProcessGroup() as group, GraphMonitor("/bridge_demo", ("sensor_bridge",), "monitor") as monitor:
         start(
-            group, "emulator", "abrace_plant", "--rig", rig_file, "--device", device, "--priority", priority,
-            "--log", "emulator.json",
+            group, "emulator", "abrace_plant", "--rig", rig_file, "--device", device,
+            "--priority", priority + TARGET_PRIORITY, "--log", "emulator.json",
         )  # fmt: skip
         bridge = node_arguments(rig=rig_file, device=device, duration=seconds, autostart="false", **loop)
         start(group, "sensor_bridge", "abrace_plant", *bridge)
