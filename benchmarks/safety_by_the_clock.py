@@ -35,6 +35,8 @@ MARGIN = 5
 REST_MARGIN = round(0.1 * RATE)
 """Samples beyond the ramp within which a rig that is deactivated or interrupted has taken its last one."""
 STALL = 3.0
+TRIES = 3
+"""Of having the rig run before a case begins: it is a fault, too, where the machine stands still for 20 ms."""
 FLOOD, FLOOD_RATE = 2000, 10_000
 """Messages, and a second."""
 DRIVEN: dict[str, Any] = {"rms": 4000.0, "duration": 60.0}
@@ -97,14 +99,21 @@ class Rig:
         graph.until(lambda: len(self.responses) > count + 5, "samples")
         # a node that joins is late at first, and holds others up: nothing may act meanwhile
         graph.until(self.keeps_up, f"{self.commander} to keep up")
-        if self.last.state not in (Response.RUNNING, Response.FADING_IN):
-            graph.until(lambda: self.last.state == Response.LATCHED, "all to be at rest")
-            graph.until(self.cleared, "the rig to be cleared")
-            name = "ground_motion" if self.commander == "controller" else self.commander
-            for transition in ("deactivate", "activate"):
-                assert graph.change_state(name, transition), f"{name}: {transition} refused; {graph.reported()}"
-        graph.until(lambda: self.last.state == Response.RUNNING, "the rig to run")
+        for _ in range(TRIES):
+            if self.last.state not in (Response.RUNNING, Response.FADING_IN):
+                self.clear()
+            graph.until(lambda: self.last.state in (Response.RUNNING, Response.LATCHED), "the rig to run")
+        assert self.last.state == Response.RUNNING, graph.reported()
         del self.responses[:-1], self.commands[:-1]
+
+    def clear(self) -> None:
+        """Clear all faults, and have the signal begin anew."""
+        graph = self.graph
+        graph.until(lambda: self.last.state == Response.LATCHED, "all to be at rest")
+        graph.until(self.cleared, "the rig to be cleared")
+        name = "ground_motion" if self.commander == "controller" else self.commander
+        for transition in ("deactivate", "activate"):
+            assert graph.change_state(name, transition), f"{name}: {transition} refused; {graph.reported()}"
 
     def keeps_up(self) -> bool:
         """Whether the commander has answered for a while, and does so in time."""

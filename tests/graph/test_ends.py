@@ -5,6 +5,7 @@ import pty
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from std_msgs.msg import String
 from abrace.processes.group import find_executable
 from abrace_bags import read_runs, read_topics
 from abrace_core.node import TRANSIENT_LOCAL_QOS
+from abrace_interfaces.msg import Response
 
 RIG = Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml"
 NOISE = {"duration": 60.0}
@@ -39,6 +41,21 @@ def test_signals_end_every_node_cleanly_and_the_bag_is_closed(graph, number, sto
         assert "Traceback" not in "\n".join(graph.output_of(name))
     assert (bag / "metadata.yaml").is_file()
     assert sum(len(run.outputs) for run in read_runs(bag)) > 100
+
+
+def test_a_run_by_the_clock_ends_though_its_last_sample_was_missed(graph):
+    responses = graph.listen(Response, "response")
+    graph.start("plant", duration=2.0)
+    graph.may_end.add("plant")
+    graph.until(lambda: responses and responses[-1].sequence > 500, "samples")
+    plant, begin = graph.started["plant"].group, time.monotonic()
+    os.kill(plant, signal.SIGSTOP)
+    graph.until(lambda: time.monotonic() > begin + 1.2, "the end of the run")
+    os.kill(plant, signal.SIGCONT)
+    assert graph.ended("plant") == 0
+    graph.until(lambda: responses[-1].flags & Response.LAST, "the last sample")
+    assert responses[-1].sequence > 999
+    assert 999 not in {response.sequence for response in responses}
 
 
 def test_a_terminal_that_is_lost_ends_the_logger_with_a_whole_bag(graph):
