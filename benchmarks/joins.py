@@ -10,18 +10,15 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from isolation import isolated
 from rclpy.executors import SingleThreadedExecutor
-from running_graph import STREAM, Graph
+from running_graph import STREAM, Graph, graph_of_its_own
 
-from abrace.processes.group import ProcessGroup
 from abrace_core.node import KEPT_STREAM_QOS
 from abrace_interfaces.msg import BraceCommand, Response
 
@@ -77,6 +74,15 @@ def join(namespace: str) -> None:
     node.close()
 
 
+def visit(graph: Graph) -> None:
+    """Let a process come into a graph, receive both streams, and leave."""
+    command = [sys.executable, __file__, "join", graph.namespace]
+    viewer = graph.processes.start("viewer", command, graph.folder / "viewer.log")
+    graph.until(lambda: viewer.returncode is not None, "the viewer to leave", 60.0)
+    graph.processes.stop("viewer")
+    assert viewer.returncode == 0, viewer.last_lines()
+
+
 class DrivenRig:
     """A rig by the clock whose braces an `excitation` drives."""
 
@@ -118,10 +124,7 @@ class DrivenRig:
 
     def joined(self) -> str:
         """Let a node come and leave; the rig's fault meanwhile."""
-        joining = subprocess.Popen([sys.executable, __file__, "join", self.graph.namespace])
-        self.graph.until(lambda: joining.poll() is not None, "the viewer to leave", 60.0)
-        if joining.returncode:
-            raise subprocess.CalledProcessError(joining.returncode, "join")
+        visit(self.graph)
         # a fault is reported at once, but not before the force is let go
         driven = self.driven
         self.graph.until(lambda: self.driven > driven + ENOUGH or self.fault, "the braces to be driven")
@@ -130,23 +133,16 @@ class DrivenRig:
 
 def joins(count: int = JOINS) -> dict[str, Any]:
     """So many joins, one after another; call it on a domain of one's own."""
-    context = rclpy.Context()
-    context.init()
-    with ProcessGroup() as processes:
-        graph = Graph("/joins", Path.cwd(), context, processes)
-        try:
-            rig = DrivenRig(graph)
-            rig.longest = faults = 0
-            for number in range(1, count + 1):
-                if fault := rig.joined():
-                    faults += 1
-                    print(f"join {number}: {fault}", file=sys.stderr)
-                    rig.recover()
-                print(f"join {number} of {count}: {faults} faults", end="\r", file=sys.stderr, flush=True)
-            return {"joins": count, "faults": faults, "longest_hold_ms": SAMPLE_PERIOD_MS * rig.longest}
-        finally:
-            graph.close()
-            context.try_shutdown()
+    with graph_of_its_own("/joins") as graph:
+        rig = DrivenRig(graph)
+        rig.longest = faults = 0
+        for number in range(1, count + 1):
+            if fault := rig.joined():
+                faults += 1
+                print(f"join {number}: {fault}", file=sys.stderr)
+                rig.recover()
+            print(f"join {number} of {count}: {faults} faults", end="\r", file=sys.stderr, flush=True)
+        return {"joins": count, "faults": faults, "longest_hold_ms": SAMPLE_PERIOD_MS * rig.longest}
 
 
 def main() -> None:

@@ -18,12 +18,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from controller_speed import lqg3
 from isolation import isolated
-from running_graph import STREAM, Graph
+from running_graph import STREAM, Graph, graph_of_its_own
 
-from abrace.processes.group import ProcessGroup
 from abrace_core.controller_file import save_controller
 from abrace_core.wire import read_header
 from abrace_interfaces.msg import Response
@@ -35,6 +33,8 @@ MEMORY_LIMIT = 1.0
 SETTLED = 60.0
 LOOK_PERIOD = 2.0
 BLOCK = 10_000
+SEQUENCE_SIZE = RUN_SIZE = 8
+"""Bytes of the first two fields after the header; the second one differs between two runs."""
 
 
 class Watch:
@@ -49,13 +49,14 @@ class Watch:
         graph.node.create_subscription(Response, "response", self._on_response, STREAM, raw=True)
 
     def _on_response(self, payload: bytes) -> None:
-        offset = read_header(payload).offset
-        run = payload[offset : offset + 8]
+        begin = read_header(payload).offset + SEQUENCE_SIZE
+        end = begin + RUN_SIZE
+        run = payload[begin:end]
         if run != self._run:
             self._run, self._digest, self._count = run, hashlib.blake2b(), 0
             self.runs.append([])
-        self._digest.update(payload[:offset])
-        self._digest.update(payload[offset + 8 :])
+        self._digest.update(payload[:begin])
+        self._digest.update(payload[end:])
         self.samples += 1
         self._count += 1
         if self._count % BLOCK == 0:
@@ -103,15 +104,8 @@ def _run_in_lockstep(graph: Graph, seconds: float) -> dict[str, Any]:
 
 def lockstep_endurance(seconds: float = SECONDS) -> dict[str, Any]:
     """All of it; call it on a domain of one's own."""
-    context = rclpy.Context()
-    context.init()
-    with ProcessGroup() as processes:
-        graph = Graph("/lockstep", Path.cwd(), context, processes)
-        try:
-            return _run_in_lockstep(graph, seconds)
-        finally:
-            graph.close()
-            context.try_shutdown()
+    with graph_of_its_own("/lockstep") as graph:
+        return _run_in_lockstep(graph, seconds)
 
 
 if __name__ == "__main__":

@@ -14,17 +14,14 @@ import json
 import os
 import random
 import sys
-from pathlib import Path
 from typing import Any
 
-import rclpy
 from geometry_msgs.msg import AccelStamped
 from isolation import isolated
 from rcl_interfaces.srv import ListParameters
-from running_graph import Graph
+from running_graph import Graph, graph_of_its_own
 from wrong_messages import WrongMessages
 
-from abrace.processes.group import ProcessGroup
 from abrace_interfaces.msg import BraceCommand, Response
 
 CAPACITY, RATE_STEP = 24516.625, 5.0e6 / 500
@@ -90,15 +87,8 @@ def wrong_endurance(graph: Graph, messages: int, requests: int, chance: random.R
 
 def measure(messages: int = MESSAGES) -> dict[str, Any]:
     """All of it; call it on a domain of one's own."""
-    context = rclpy.Context()
-    context.init()
-    with ProcessGroup() as processes:
-        graph = Graph("/wrong", Path.cwd(), context, processes)
-        try:
-            return wrong_endurance(graph, messages, messages, random.Random(1))
-        finally:
-            graph.close()
-            context.try_shutdown()
+    with graph_of_its_own("/wrong") as graph:
+        return wrong_endurance(graph, messages, messages, random.Random(1))
 
 
 if __name__ == "__main__":

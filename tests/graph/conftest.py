@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 
 HELD_UP = (
-    "samples missed",
-    "samples lost",
-    "taken late",
+    "samples missed before sample",
+    "samples lost before sample",
+    "samples in a row were taken late",
     "no brace_command for",
     "no ground_motion for",
-    "no response",
+    "no response for more than",
 )
 """What nodes say by the clock of a machine that stood still for longer than their time-out."""
 

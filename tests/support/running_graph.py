@@ -6,9 +6,11 @@ condition, with a deadline that a healthy machine never comes near.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,8 +29,7 @@ from abrace.processes.parameter_file import parameter_file
 from abrace_interfaces.msg import BraceCommand, Response
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Iterator, Sequence
 
     from rclpy.client import Client
     from rclpy.node import Node
@@ -274,6 +275,20 @@ class Graph:
         """Take the tests' node out of the graph."""
         self.executor.shutdown()
         self.node.destroy_node()
+
+
+@contextlib.contextmanager
+def graph_of_its_own(namespace: str) -> Iterator[Graph]:
+    """A graph with its own participant and its files in the present folder; no node of it is left afterwards."""
+    context = rclpy.Context()
+    context.init()
+    with ProcessGroup() as processes:
+        graph = Graph(namespace, Path.cwd(), context, processes)
+        try:
+            yield graph
+        finally:
+            graph.close()
+            context.try_shutdown()
 
 
 class Commander:

@@ -237,7 +237,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         with self.lock:
             result = self._transition(self.activate)
             self.active = result == TransitionCallbackReturn.SUCCESS
-            real_time.leave_out_of_collections()
+            gc.freeze()  # what it has made is looked at by no collection, which would hold up the loop
             if not self.active:
                 self.due = None
         self.rouse()

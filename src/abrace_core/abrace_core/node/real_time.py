@@ -39,11 +39,6 @@ def collect_garbage() -> None:
     gc.freeze()
 
 
-def leave_out_of_collections() -> None:
-    """Leave all that there is now out of later collections; takes no time."""
-    gc.freeze()
-
-
 def collect_new_garbage() -> None:
     """Collect what became garbage soon after it was made; the time goes with what was made since last time."""
     gc.collect(0)
