@@ -25,6 +25,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import AccelStamped
 from isolation import own_shared_memory
 from power_loss import Disk, Recorder
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
@@ -105,6 +106,12 @@ class Publishers:
                 send(bytes(payload))
             self.count += 1
         return round(rate * duration) / (time.monotonic() - begin)
+
+    def wait_for_receipt(self) -> None:
+        """Wait until the subscriber's middleware has everything; where a message was lost it is sent again."""
+        for topic, publisher in self.publishers.items():
+            if not publisher.wait_for_all_acked(Duration(seconds=PATIENCE)):
+                raise AbraceError(f"{topic} was not received whole within {PATIENCE:g} s")
 
     def close(self) -> None:
         """Leave the graph."""
@@ -230,6 +237,7 @@ def power_losses(
                 begin = time.time_ns()
                 rig.publish(RATE, duration, list(NUMBERED))
                 published = time.time_ns()
+                rig.wait_for_receipt()
                 stop(process, folder / "log")
             events = recorder.events()
             for number in range(k, count, loggers):
@@ -262,7 +270,10 @@ def first_missing(bag: Path, namespace: str, begin: int) -> int:
 
 
 def record_steadily(duration: float) -> dict[str, Any]:
-    """Three topics at 500 Hz for so many seconds while another process loads a core: messages, losses."""
+    """Three topics at 500 Hz for so many seconds while another process loads a core: messages, losses.
+
+    The logger is stopped once its middleware has received the last message.
+    """
     topics = list(NUMBERED)
     with publishers() as (rig, folder):
         bag, log = folder / "bag", folder / "logger.log"
@@ -272,6 +283,7 @@ def record_steadily(duration: float) -> dict[str, Any]:
         ):
             rig.wait_for_match(topics)
             rig.publish(RATE, duration, topics)
+            rig.wait_for_receipt()
             stop(process, log)
         found = recorded(bag, rig.namespace)
         messages = rig.count * len(topics)
@@ -289,6 +301,7 @@ def flood_rate(bare: bool, duration: float, first: float, highest: float) -> tup
             with running(command, log) as process:
                 rig.wait_for_match(["response"])
                 reached = rig.publish(rate, duration, ["response"])
+                rig.wait_for_receipt()
                 output = stop(process, log)
             count = (
                 int(output.splitlines()[-1]) if bare else np.unique(recorded(bag, rig.namespace)["response"][0]).size
