@@ -2,7 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from abrace_core.errors import AbraceError
@@ -129,12 +129,13 @@ def test_kobe_is_played_for_60_s_at_its_pga():
     duration=st.floats(0.05, 12.0),
     seed=st.integers(0, 1000),
 )
+@example(rate=100.0, period=0.005, peak=1.0, duration=5.0, seed=98)  # its fade leaves much velocity
 def test_any_motion_has_the_asked_length_stays_finite_and_within_its_peak(rate, period, peak, duration, seed):
     record = Record("noise", period, np.random.default_rng(seed).standard_normal(round(6 / period)))
     motion = prepare(record, rate, Treatment(peak_acceleration=peak, duration=duration))
     assert len(motion) == max(round(duration * rate), 1)
     assert np.isfinite(motion).all()
-    assert np.abs(motion).max() <= peak
+    assert np.abs(motion).max() <= peak * (1 + 1e-12)
 
 
 @pytest.mark.parametrize(

@@ -146,14 +146,24 @@ def prepare(record: Record, sample_rate: float, treatment: Treatment | None = No
         if peak == 0:
             raise AbraceError(f"{where}: zero throughout, cannot be scaled to a peak")
         motion = motion / peak * asked.peak_acceleration
-    if samples < recorded:
-        motion = motion[:samples]
-        fall = min(round(FADE * sample_rate), samples)
-        motion[samples - fall :] *= (1 + np.cos(np.pi * np.arange(1, fall + 1) / max(fall, 1))) / 2
-        # the velocity that the fade leaves goes out in the same time: the motion ends at rest
-        bump = 1 - np.cos(2 * np.pi * np.arange(1, fall + 1) / fall)
-        motion[samples - fall :] -= motion.sum() / max(bump.sum(), 1.0) * bump
-    return motion
+    return _cut(motion, samples, round(FADE * sample_rate)) if samples < recorded else motion
+
+
+def _cut(motion: NDArray[np.float64], samples: int, fade: int) -> NDArray[np.float64]:
+    """The first `samples` of a motion, faded out over `fade` samples so that it ends at rest, within its old peak."""
+    peak, fall = np.abs(motion).max(), min(fade, samples)
+    motion = motion[:samples].copy()
+    motion[samples - fall :] *= (1 + np.cos(np.pi * np.arange(1, fall + 1) / max(fall, 1))) / 2
+    # the velocity that the fade leaves goes out in the same time, or in a longer one where that would take too much
+    span, corrected = max(fall, 1), motion
+    while True:
+        bump = 1 - np.cos(2 * np.pi * np.arange(1, span + 1) / span)
+        corrected = motion.copy()
+        corrected[samples - span :] -= motion.sum() / max(bump.sum(), 1.0) * bump
+        highest = np.abs(corrected).max()
+        if highest <= peak or span == samples:
+            return corrected * min(1.0, peak / highest) if highest else corrected
+        span = min(2 * span, samples)
 
 
 def without_baseline(acceleration: NDArray[np.float64], sample_period: float, baseline: str) -> NDArray[np.float64]:
