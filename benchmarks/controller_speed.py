@@ -79,8 +79,8 @@ def samples(count: int, first: int = 0) -> list[bytes]:
     for sequence, values in enumerate(0.3 * random.standard_normal((count, 3)), first):
         # in lockstep nobody takes a pause between two samples for silence
         zeros, head = [0.0], Head(sequence, 1, 0, LOCKSTEP, State.RUNNING)
-        arrays = 3 * zeros, values.tolist(), zeros, zeros, zeros
-        found.append(responses.pack(sequence * PERIOD_NS, head, "", *arrays, 0.0))
+        arrays = 3 * zeros, values.tolist(), zeros, 2 * zeros, zeros
+        found.append(responses.pack(sequence * PERIOD_NS, head, "", [2], *arrays, 0.0))
     return found
 
 

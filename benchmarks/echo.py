@@ -44,6 +44,7 @@ def ask(count: int) -> None:
     node = rclpy.create_node("echo_ask")
     publisher = node.create_publisher(Response, "response", STREAM_QOS)
     message = Response(displacement=array("d", [0.0] * 3), acceleration=array("d", [0.0] * 3))
+    message.braces = [1]
     message.stroke = message.force = message.command = array("d", [0.0])
     answered = 0
 

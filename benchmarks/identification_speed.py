@@ -102,6 +102,7 @@ def write_bag(bag: Path, run: Run, rig: str) -> None:
                 stamp,
                 Head(sequence, 1, 0, 0, State.RUNNING),
                 "",
+                [1] * groups,
                 outputs[:floors],
                 acceleration[:floors],
                 stroke[:groups],

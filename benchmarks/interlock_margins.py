@@ -31,7 +31,6 @@ from rehearsal import (
 
 from abrace.report.table import Table
 from abrace_core.node import find_file
-from abrace_core.signals import GROUND, response_names
 from abrace_lqg.weights import load_weights
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.interlocks import Interlocks
@@ -131,7 +130,7 @@ def _other_rigs(rig: Rig) -> Iterator[tuple[str, Outcome]]:
 
 def _causes(rig: Rig, weights: Weights) -> Iterator[tuple[str, float, Outcome]]:
     """Planted causes in El Centro with LQG3: name, the second from which on something is wrong, what happened."""
-    names = (*response_names(rig.floors, rig.groups), GROUND)
+    names = rig.channel_names
     law, ground = controller(rig, weights), el_centro(rig.sample_rate, 15.0)
     rest = np.zeros(round(15 * rig.sample_rate))
     yield "law with the wrong sign", 0.0, rehearse(rig, ground, law=controller(rig, weights, -1.0))
@@ -149,10 +148,10 @@ def _causes(rig: Rig, weights: Weights) -> Iterator[tuple[str, float, Outcome]]:
         "displacements x1 and x2 swapped": _swapped(names.index("x1"), names.index("x2")),
         **{
             f"{name} turned around": _scaled(names.index(name), -1.0)
-            for name in ("x1", "xf", "a1", "a2", "a3", "f", "w")
+            for name in ("x1", "xf", "a1", "a2", "a3", "fa", "w")
         },
-        **{f"{name} reads half": _scaled(names.index(name), 0.5) for name in ("x1", "xf", "a1", "a3", "f")},
-        "f has lost its zero, 8 kN": _shifted(names.index("f"), 8000.0),
+        **{f"{name} reads half": _scaled(names.index(name), 0.5) for name in ("x1", "xf", "a1", "a3", "fa")},
+        "fb has lost its zero, 8 kN": _shifted(names.index("fb"), 8000.0),
     }
     for name, tamper in tampered.items():
         yield name, START, rehearse(rig, ground, law=law, cause=Cause(START, tamper=tamper))
@@ -201,7 +200,7 @@ def _cause(start: float, outcome: Outcome) -> dict[str, Any]:
 def check_time(name: str) -> float:
     """Best of 30 blocks of 500 checks of the rig `name` at rest, for one check, of the processor's time [us]."""
     rig = load_rig(find_file(name, "abrace_plant", "config", ".yaml", "rig"))
-    interlocks, channels = Interlocks(rig), rig.sensors.channels(rig.floors, rig.groups)
+    interlocks, channels = Interlocks(rig), rig.channel_sensors
     readings = list(Measurement(channels, 1, 0.002).record(np.zeros((500, len(channels)))))
     command, times = [0.0] * rig.groups, []
     for _ in range(30):

@@ -291,7 +291,7 @@ def sensor_at_its_end(hands: Hands) -> None:
         hands.send_table(1.8 if hands.last.state == Response.RUNNING else 0.0)
         Commander.send(hands, [0.0])
         hands.graph.until(hands._more(), "the next sample")
-        clipped += bool(hands.last.clipped >> 8 & 1)
+        clipped += bool(hands.last.clipped >> 9 & 1)
     assert clipped >= 5, f"{clipped} samples say so"
     assert "interlocks.clipped" in hands.last.cause, hands.last.cause
     hands.hold(0.0, RAMP + 50)

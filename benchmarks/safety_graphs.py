@@ -197,6 +197,7 @@ class OldSamples:
     def _sample(self, run: int, sequence: int) -> Response:
         sample = Response(run=run, sequence=sequence, state=Response.RUNNING, flags=Response.LOCKSTEP)
         sample.displacement = sample.acceleration = [0.0] * 3
+        sample.braces = [1]
         sample.stroke = sample.force = sample.command = [0.0]
         sample.header.stamp.sec, sample.header.stamp.nanosec = divmod(sequence * PERIOD_NS, 10**9)
         return sample

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from rehearsal import Cause, controller, el_centro, rehearse
 
-from abrace_core.signals import GROUND, response_names
+from abrace_core.signals import channel_names
 from abrace_lqg.weights import load_weights
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.limits import TIMES
 
 SOURCE = Path(__file__).parents[2] / "src"
 LQG3 = load_weights(SOURCE / "abrace_lqg/config/lqg3.yaml")
-NAMES = (*response_names(3, 1), GROUND)
+NAMES = channel_names(3, [2])
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +68,8 @@ def test_a_table_that_runs_away_trips(rig, lqg3):
         (["a1"], -1.0, "implausible_acceleration"),
         (["a3"], 0.5, "implausible_acceleration"),
         (["xf"], 0.5, "implausible_stroke"),
-        (["f"], -1.0, "force_error"),
-        (["f"], 0.5, "force_error"),
+        (["fa"], -1.0, "force_error"),
+        (["fb"], 0.5, "force_error"),
     ],
 )
 def test_a_sensor_that_is_turned_around_or_wrongly_calibrated_trips(rig, lqg3, channels, factor, interlock):

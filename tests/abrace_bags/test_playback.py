@@ -181,9 +181,7 @@ def test_bag_time_begins_anew_with_each_round_of_steps() -> None:
 
 def test_a_sample_waits_for_the_command_with_its_number() -> None:
     responses, commands = Responses(), BraceCommands()
-    samples = [
-        responses.pack(0, Head(number, 1, 0, 0, 3), "", [0.0], [0.0], [0.0], [0.0], [0.0], 0.0) for number in (41, 42)
-    ]
+    samples = [responses.pack(0, Head(number, 1, 0, 0, 3), "", [1], *[[0.0]] * 5, 0.0) for number in (41, 42)]
     content = [
         note(BEGIN, b"anything", "/lab/note"),
         note(BEGIN, samples[0], "/lab/response"),

@@ -26,13 +26,17 @@ STEP = 4_000_000
 
 
 def response(k: int, floors: int = 2, groups: int = 2) -> Any:
-    """Sample k, whose values say what they are: tens for the quantity, ones for the place."""
+    """Sample k, whose values say what they are: tens for the quantity, ones for the place.
+
+    The second group has two braces, which push by 0.25 more and less.
+    """
     x = k / 1000
     time = TYPES["builtin_interfaces/msg/Time"](sec=5 + k * STEP // 10**9, nanosec=k * STEP % 10**9)
     header = TYPES["std_msgs/msg/Header"](stamp=time, frame_id="table")
-    floor, group = np.arange(floors), np.arange(groups)
-    channels = (10 + floor + x, 20 + floor + x, 30 + group + x, 40 + group + x, 50 + group + x)
-    return TYPES[RESPONSE](header, k, 1, 0, 0, 3, *channels, x, "")
+    floor, group, braces = np.arange(floors), np.arange(groups), np.array([1, 2][:groups], dtype=np.uint8)
+    brace = np.array([0, 0.75, 1.25][: sum(braces)])
+    channels = (10 + floor + x, 20 + floor + x, 30 + group + x, 40 + brace + x, 50 + group + x)
+    return TYPES[RESPONSE](header, k, 1, 0, 0, 3, braces, *channels, x, "")
 
 
 def write(
@@ -54,7 +58,7 @@ def test_run_is_the_bag_with_named_channels(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.command[:, 1], 51 + np.arange(7, 12) / 1000, rtol=1e-15)
     np.testing.assert_array_equal(run.ground_acceleration, np.arange(7, 12) / 1000)
     np.testing.assert_array_equal(run.sequence, np.arange(7, 12))
-    assert (run.floors, run.groups, run.sample_period) == (2, 2, 0.002)
+    assert (run.floors, run.groups, run.braces, run.sample_period) == (2, 2, (1, 2), 0.002)
     assert run.facts == facts
     assert run.source == str(tmp_path / "bag")
 
@@ -82,8 +86,8 @@ def test_channels_at_the_end_of_their_range_are_counted_where_the_bag_says_so(
     definition = store.generate_msgdef(RESPONSE, ros_version=2)[0]
     with BagWriter(tmp_path / "bag", {"sample_period": "0.002"}) as bag:
         number = bag.add_topic("/response", RESPONSE, definition, "")
-        for k, bits in enumerate([0, 0b1, 0b1_0000_0001, 0b10_0001, 0]):
-            sample = response(k)
+        for k, bits in enumerate([0, 0b1, 0b100_0001, 0b1_0001, 0]):
+            sample = response(k, groups=1)
             values = (getattr(sample, name) for name in list(store.types[RESPONSE].__dataclass_fields__)[1:-2])
             message = store.types[RESPONSE](sample.header, *values, bits)
             bag.write(number, bytes(store.serialize_cdr(message, RESPONSE)), k, k)
@@ -157,6 +161,10 @@ def test_sizes_that_change_or_disagree_are_refused(tmp_path: Path) -> None:
         message.acceleration = np.zeros(3)
     with pytest.raises(AbraceError, match=r"displacement, acceleration have \[2, 3\] values, expected equal numbers"):
         read_run(write(tmp_path / "disagreeing", messages, {}))
+    for message in messages:
+        message.acceleration, message.braces = message.displacement, np.array([2, 2], dtype=np.uint8)
+    with pytest.raises(AbraceError, match=r"braces \[2, 2\] of 2 groups with 3 forces, expected one of each brace"):
+        read_run(write(tmp_path / "braces", messages, {}))
 
 
 def test_topic_is_found_or_asked_for(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The loop's messages on the wire: the same to rclpy, whatever the size of the rig."""
 
+import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import AccelStamped
@@ -12,10 +13,12 @@ from abrace_core.wire import BraceCommands, Head, Responses, pack_acceleration, 
 from abrace_interfaces.msg import BraceCommand, Response
 
 finite = st.floats(allow_nan=False, width=64)
+forces = st.floats(-1e9, 1e9)
 stamps = st.integers(0, 2**31 * 10**9 - 1)
 sequences = st.integers(0, 2**64 - 1)
 frames = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=20)
 texts = st.text(st.characters(min_codepoint=32, max_codepoint=0x2FF), max_size=20)
+ARRAYS = ("braces", "displacement", "acceleration", "stroke", "force", "command")
 sizes = st.tuples(st.integers(1, 7), st.integers(1, 4))
 
 
@@ -37,14 +40,16 @@ def responses(draw) -> Response:
     )
     message.header.stamp = time(draw(stamps))
     message.header.frame_id = draw(frames)
+    message.braces = draw(st.lists(st.integers(1, 3), min_size=groups, max_size=groups))
     for name, length in (
         ("displacement", floors),
         ("acceleration", floors),
         ("stroke", groups),
-        ("force", groups),
+        ("force", sum(message.braces)),
         ("command", groups),
     ):
-        setattr(message, name, draw(st.lists(finite, min_size=length, max_size=length)))
+        numbers = forces if name == "force" else finite
+        setattr(message, name, draw(st.lists(numbers, min_size=length, max_size=length)))
     return message
 
 
@@ -61,7 +66,11 @@ def test_responses_are_read_as_rclpy_wrote_them_when_the_rig_changes_too(first, 
         assert time(stamp) == message.header.stamp
         assert found == head(message)
         assert reader.cause(payload) == message.cause
-        assert z == (*message.displacement, *message.stroke, *message.acceleration, *message.force)
+        others = (*message.displacement, *message.stroke, *message.acceleration)
+        assert z[: len(others)] == others
+        ends = np.cumsum(message.braces, dtype=int).tolist()
+        means = [np.mean(message.force[end - count : end]) for count, end in zip(message.braces, ends, strict=True)]
+        assert z[len(others) :] == pytest.approx(means, rel=1e-12)
         assert (reader.floors, reader.groups) == (len(message.displacement), len(message.stroke))
 
 
@@ -69,7 +78,7 @@ def test_responses_are_read_as_rclpy_wrote_them_when_the_rig_changes_too(first, 
 def test_rclpy_reads_responses_as_they_were_packed(message):
     stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
     message.header.frame_id = "table"
-    arrays = (message.displacement, message.acceleration, message.stroke, message.force, message.command)
+    arrays = tuple(getattr(message, name) for name in ARRAYS)
     packer = Responses()
     for _ in range(2):
         packed = packer.pack(stamp, head(message), message.cause, *arrays, message.ground_acceleration)
@@ -99,14 +108,14 @@ def test_ground_accelerations_are_the_same_to_rclpy_both_ways(stamp, frame, acce
 
 def test_packed_messages_have_no_stray_bytes():
     x, u = [0.5, 0.25, 0.125], [1.0]
-    packed = [Responses().pack(7, Head(8, 1, 0, 0, 3), "", x, x, u, u, u, 0.5) for _ in range(2)]
+    packed = [Responses().pack(7, Head(8, 1, 0, 0, 3), "", [1], x, x, u, u, u, 0.5) for _ in range(2)]
     assert packed[0] == packed[1]
     assert packed[0][22:28] == bytes(6), "padding after frame_id"
 
 
 @given(responses(), st.data())
 def test_a_cut_response_is_refused(message, data):
-    arrays = (message.displacement, message.acceleration, message.stroke, message.force, message.command)
+    arrays = tuple(getattr(message, name) for name in ARRAYS)
     whole = Responses().pack(5, head(message), message.cause, *arrays, 0.5)
     cut = whole[: data.draw(st.integers(0, len(whole) - 1))]
     reader = Responses()
@@ -129,8 +138,15 @@ def test_cut_commands_and_accelerations_are_refused():
 
 def test_arrays_that_do_not_belong_together_are_refused():
     message = Response(displacement=[1.0, 2.0], acceleration=[1.0], stroke=[1.0], force=[1.0], command=[1.0])
-    with pytest.raises(AbraceError, match="expected floors, floors"):
-        Responses().unpack(serialize_message(message))
+    for braces in ([1], [], [0], [1, 1]):
+        message.braces = braces
+        with pytest.raises(AbraceError, match="expected floors, floors"):
+            Responses().unpack(serialize_message(message))
+    message.acceleration = [1.0, 2.0]
+    for braces in ([2], [], [0], [1, 1]):
+        message.braces = braces
+        with pytest.raises(AbraceError, match="expected floors, floors"):
+            Responses().unpack(serialize_message(message))
 
 
 def test_big_endian_messages_are_refused():

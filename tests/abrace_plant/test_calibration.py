@@ -172,5 +172,4 @@ def test_a_calibration_file_that_is_wrong_is_refused_by_its_key(tmp_path, old, n
 
 def test_the_calibration_of_the_papers_rig_has_the_ranges_of_its_sensors():
     found = Calibration(read_calibration(CONFIG / "device_parts/calibration.yaml"), CHANNELS, ("U", "w"), RATE)
-    sensors = RIG.sensors.channels(RIG.floors, RIG.groups)
-    np.testing.assert_allclose(found.range, [sensor.range for sensor in sensors], rtol=1e-12)
+    np.testing.assert_allclose(found.range, [sensor.range for sensor in RIG.channel_sensors], rtol=1e-12)

@@ -107,12 +107,12 @@ def card(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("laboratory")
 def test_the_card_of_the_docs_is_a_device(card: Device):
     card.open()
-    Task.scans += [[1.0, 0, 0, 0, 0, 0, 0, -1.0, 0.1], [2.0, 0, 0, 0, 0, 0, 0, -10.0, 0.1]]
+    Task.scans += [[1.0, 0, 0, 0, 0, 0, 0, 0, -1.0, 0.1], [2.0, 0, 0, 0, 0, 0, 0, 0, -10.0, 0.1]]
     reading = card.exchange([5000.0], -1.0)
-    np.testing.assert_allclose(reading.values[[0, 7, 8]], [0.01, -2800.0, 0.015])
+    np.testing.assert_allclose(reading.values[[0, 8, 9]], [0.01, -2800.0, 0.015])
     assert (reading.clipped, reading.missed) == (0, 0)
-    assert card.exchange([0.0], 0.0).clipped == 1 << 7
-    with pytest.raises(DeviceError, match=r"NI-DAQmx Dev1/ai0:8: no scan within 0.02 s"):
+    assert card.exchange([0.0], 0.0).clipped == 1 << 8
+    with pytest.raises(DeviceError, match=r"NI-DAQmx Dev1/ai0:9: no scan within 0.02 s"):
         card.exchange([0.0], 0.0)
     card.make_safe()
     card.close()

@@ -82,7 +82,7 @@ def test_while_the_target_hangs_its_outputs_hold_and_the_rig_goes_on():
     assert (target.tick, target._acting[0], target.stops) == (tick + 100, 10e3, 0)
     reading = target.step()
     assert target.stops == 1
-    assert reading[CHANNELS.index("f")] == pytest.approx(10e3, rel=0.1)
+    assert reading[CHANNELS.index("fb")] == pytest.approx(10e3, rel=0.1)
 
 
 def test_a_ramp_in_which_the_target_hangs_goes_on_afterwards_without_a_step():
@@ -190,7 +190,7 @@ def test_the_program_is_a_rig_with_faults_on_demand_and_stops_by_itself(tmp_path
         device.open()
         for force in (0.0, 0.0, *np.linspace(0, 4e3, 100)):
             reading = device.exchange([force], 0.0)
-        assert reading.values[CHANNELS.index("f")] == pytest.approx(4e3, rel=0.1)
+        assert reading.values[CHANNELS.index("fb")] == pytest.approx(4e3, rel=0.1)
 
         assert ask(control, "a2=zero") == "ok"
         assert ask(control, "sample.corruption=0.5") == "ok"

@@ -65,7 +65,7 @@ def test_readings_are_the_rigs_and_commands_reach_it(t7):
         reading = device.exchange([2000.0], 0.0)
     assert running.emulator.target.following
     assert running.emulator.target.worst_force == pytest.approx(2000.0, rel=1e-5)
-    assert reading.values[CHANNELS.index("f")] == pytest.approx(2000.0, rel=0.1)
+    assert reading.values[CHANNELS.index("fb")] == pytest.approx(2000.0, rel=0.1)
     assert reading.clipped == 0
 
 

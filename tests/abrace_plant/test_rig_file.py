@@ -310,7 +310,7 @@ def test_rigs_of_the_folder_survive_a_tenth_of_g_of_el_centro_and_can_be_control
     ground = prepare(read_record("el_centro"), rig.sample_rate, Treatment(peak_acceleration=0.1 * G))
     still = simulate(rig.discrete_model(), np.column_stack([ground, np.zeros((len(ground), groups))]))
     greatest = np.append(np.abs(still).max(axis=0), np.abs(ground).max())
-    ranges = [sensor.range for sensor in rig.sensors.channels(floors, groups)]
+    ranges = [sensor.range for sensor in rig.sensors.channels(floors, groups, groups)]
     assert (1.2 * greatest < ranges).all(), "none is clipped"
     assert (greatest > 0.01 * np.array(ranges)).all(), "nor lost in the noise"
     limits = [group.actuator.stroke_limit for group in rig.braces]
@@ -439,7 +439,9 @@ def test_any_valid_rig_file_gives_a_stable_rig_of_its_size(tmp_path, written):
     assert (rig.floors, rig.groups, len(rig.local_modes)) == (floors, groups, local)
     assert (len(model.inputs), len(model.outputs)) == (1 + groups, 2 * floors + 2 * groups)
     assert model.order == 2 * (floors + local) + 2 * groups
-    assert len(rig.sensors.channels(floors, groups)) == len(model.outputs) + 1
+    braces = sum(group["count"] for group in written["braces"])
+    assert len(rig.channel_sensors) == len(rig.channel_names) == len(model.outputs) - groups + braces + 1
+    assert len(set(rig.channel_names)) == len(rig.channel_names)
     assert len(rig.capacity) == len(rig.rate_limit) == groups
     poles = model.poles()
     assert (poles.real < -1e-6 * np.abs(poles)).all(), f"undamped: {poles[np.argmax(poles.real / np.abs(poles))]}"

@@ -60,7 +60,7 @@ def test_reading_does_not_change_the_true_values():
 def test_channels_follow_the_order_of_the_recorded_quantities_then_the_table():
     kinds = [Sensor(range=float(i + 1), noise=0.0, bits=16) for i in range(5)]
     sensors = SensorSet(*kinds)
-    assert [channel.range for channel in sensors.channels(3, 2)] == [1, 1, 1, 2, 2, 3, 3, 3, 4, 4, 5]
+    assert [channel.range for channel in sensors.channels(3, 2, 4)] == [1, 1, 1, 2, 2, 3, 3, 3, 4, 4, 4, 4, 5]
 
 
 def test_bias_and_drift_grow_from_the_first_sample_across_blocks():

@@ -141,7 +141,7 @@ def test_no_sample_is_an_error_that_says_what_came_instead(tmp_path):
         target.send(b"wrong", b"wrong too", target.sample(1)[:-1] + b"\0")
         with pytest.raises(DeviceError) as wrong:
             target.device.exchange([0.0], 0.0)
-        assert "dropped: 2 wrong length, 1 wrong crc (packets of 96 bytes, 2 ms apart, were expected)" in str(
+        assert "dropped: 2 wrong length, 1 wrong crc (packets of 104 bytes, 2 ms apart, were expected)" in str(
             wrong.value
         )
 
@@ -207,9 +207,9 @@ def test_readings_and_commands_go_through_the_calibration(tmp_path):
     with UdpTarget(device_file(tmp_path, calibrated=True)) as target:
         target.open()
         target.counter += 1
-        target.send(target.sample(target.counter, [1.0, -2.0, 0.0, 0.5, 1.0, 2.0, 10.0, -5.0, 0.1]))
+        target.send(target.sample(target.counter, [1.0, -2.0, 0.0, 0.5, 1.0, 2.0, 10.0, -5.0, -4.0, 0.1]))
         reading = target.device.exchange([-5000.0], 2.0)
-        expected = [0.01, -0.02, 0.0, 0.002, 0.6, 1.2, 6.0, -14000.0, 0.015]
+        expected = [0.01, -0.02, 0.0, 0.002, 0.6, 1.2, 6.0, -14000.0, -11200.0, 0.015]
         np.testing.assert_allclose(reading.values, expected, rtol=1e-12)
         assert reading.clipped == 1 << CHANNELS.index("a3")
         target.answered()
@@ -291,7 +291,7 @@ def test_a_target_at_another_rate_is_an_error_of_open_that_says_what_was_expecte
         packets = [target.sample(k, time=k * PERIOD // 2) for k in range(20)]
         sender = threading.Timer(0.05, lambda: target.send(*packets))
         sender.start()
-        with pytest.raises(DeviceError, match=r"dropped: 20 not consecutive \(packets of 96 bytes, 2 ms apart, were"):
+        with pytest.raises(DeviceError, match=r"dropped: 20 not consecutive \(packets of 104 bytes, 2 ms apart, were"):
             target.device.open()
         sender.join()
 

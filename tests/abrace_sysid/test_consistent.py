@@ -107,7 +107,7 @@ def test_the_servo_s_slow_pole_is_found_in_a_table_test_of_300_s(rig, responses)
 def controlled(laboratory, controller, ground, seed):
     """The rig under a controller that sees its sensors' readings, noise included."""
     rig, model = laboratory.rig, laboratory.model
-    sensors = Measurement(rig.sensors.channels(rig.floors, rig.groups), seed, model.sample_period)
+    sensors = Measurement(rig.sensors.channels(rig.floors, rig.groups, rig.groups), seed, model.sample_period)
     seen = [model.outputs.index(name) for name in controller.inputs]
     state, law, command = np.zeros(model.order), np.zeros(controller.order), np.zeros(1)
     readings, in_force = np.empty((len(ground), 9)), np.empty((len(ground), 1))

@@ -161,7 +161,7 @@ def test_an_actuator_at_its_limit_shows_as_distortion_well_above_the_noise(rig):
     for which, tested in (("linear", rig), ("limited", replace(rig, braces=braces))):
         motion = RigMotion(tested)
         outputs = np.array([motion.outputs(0.0, command[k : k + 1]) for k in range(len(command))])
-        sensors = Measurement(rig.sensors.channels(3, 1), 0, 0.002)
+        sensors = Measurement(rig.sensors.channels(3, 1, 1), 0, 0.002)
         readings = sensors.record(np.column_stack([outputs, 0 * command]))
         until = np.append(0.0, command[:-1])[:, None]
         sequence = np.arange(len(command), dtype=np.uint64)

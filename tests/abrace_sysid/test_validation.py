@@ -9,7 +9,7 @@ from abrace_sysid.validation import compare
 
 def test_the_rig_s_own_model_differs_from_the_record_by_sensor_noise_alone(rig, laboratory, controller):
     comparison = compare(laboratory.earthquake(controller), rig.model, controller, rig.capacity)
-    noise = [channel.noise for channel in rig.sensors.channels(3, 1)][:8]
+    noise = [channel.noise for channel in rig.sensors.channels(3, 1, 1)][:8]
     difference = np.std(comparison.simulated - comparison.measured, axis=0)
     assert (difference[:8] < 1.5 * np.array(noise) + 1e-3 * np.std(comparison.measured[:, :8], axis=0)).all()
     assert comparison.names == ("x1", "x2", "x3", "xf", "a1", "a2", "a3", "f", "U")
@@ -34,7 +34,7 @@ def test_numbers_follow_their_definitions(rig, laboratory, controller):
 
 
 def test_sensor_noise_is_read_off_the_record_s_top_frequencies(rig, laboratory, controller):
-    noise = [channel.noise for channel in rig.sensors.channels(3, 1)][:8]
+    noise = [channel.noise for channel in rig.sensors.channels(3, 1, 1)][:8]
     comparison = compare(laboratory.earthquake(controller), rig.model, controller, rig.capacity)
     assert np.allclose(comparison.noise()[:8], noise, rtol=0.1)
     assert comparison.noise()[8] == 0.0

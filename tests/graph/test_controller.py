@@ -45,6 +45,7 @@ class Rig:
         self.sequence += 1 + lost
         sample = Response(run=self.run, sequence=self.sequence, state=self.state, flags=Response.LOCKSTEP)
         sample.displacement, sample.acceleration = [0.0] * 3, [a1, 0.0, 0.0]
+        sample.braces = [1]
         sample.stroke = sample.force = sample.command = [0.0]
         nanoseconds = self.sequence * PERIOD
         sample.header.stamp.sec, sample.header.stamp.nanosec = divmod(nanoseconds, 10**9)
@@ -120,6 +121,7 @@ def test_old_and_repeated_samples_are_not_answered_and_change_nothing(rig: Rig):
     for sequence in (rig.sequence, rig.sequence - 10, 0):
         old = Response(run=rig.run, sequence=sequence, state=Response.RUNNING, flags=Response.LOCKSTEP)
         old.displacement, old.acceleration = [0.0] * 3, [1.0, 0.0, 0.0]
+        old.braces = [1]
         old.stroke = old.force = old.command = [0.0]
         rig.publisher.publish(old)
     assert rig.send(1.0) == pytest.approx(1000.0), "without a jump"

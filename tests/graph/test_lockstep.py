@@ -112,8 +112,8 @@ def test_readings_are_those_of_the_same_rig_simulated_offline(bags):
         commands.append(sample.command)
         loop.receive_command(RUN, k, force, "")
         loop.receive_ground_acceleration(sample.stamp, acceleration)
-    floors, groups = rig.floors, rig.groups
-    expected = np.split(np.array(readings), np.cumsum([floors, groups, floors, groups]), axis=1)
+    sizes = (rig.floors, rig.groups, rig.floors, sum(rig.braces_in_group))
+    expected = np.split(np.array(readings), np.cumsum(sizes), axis=1)
     for name, values in zip(("displacement", "stroke", "acceleration", "force"), expected, strict=False):
         np.testing.assert_array_equal(response[name], values, err_msg=name)
     np.testing.assert_array_equal(response["ground_acceleration"], expected[-1][:, 0])
@@ -123,7 +123,7 @@ def test_readings_are_those_of_the_same_rig_simulated_offline(bags):
 
 def test_rosbags_reads_the_values_that_we_read(bags):
     recorded = fields(bags[0])
-    vectors = ("displacement", "acceleration", "stroke", "force", "command")
+    vectors = ("braces", "displacement", "acceleration", "stroke", "force", "command")
     seen = dict.fromkeys(TOPICS, 0)
     with AnyReader([bags[0]]) as reader:
         for connection, _, raw in reader.messages():

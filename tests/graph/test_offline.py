@@ -37,10 +37,10 @@ def write_bag(
         packed = Responses()
         for k in range(len(ground)):
             sample = loop.step()
-            z = sample.reading
+            z, until_now = sample.reading, sample.command
             time = 2_000_000 * k
             head = sample.head._replace(clipped=(k in clipped) << 5)
-            payload = packed.pack(time, head, "", z[:3], z[4:7], z[3:4], z[7:8], sample.command, z[8])
+            payload = packed.pack(time, head, "", [2], z[:3], z[4:7], z[3:4], z[7:9], until_now, z[9])
             if k not in lost:
                 bag.write(topic, payload, time, time)
             loop.receive_ground_acceleration(sample.stamp, float(ground[k]))

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 SECONDS = 6.0
 TOPICS = ("response", "brace_command", "ground_motion")
-RIGS = {"five_storey": (5, 2), "single_storey": (1, 1)}
-"""Floors and brace groups of each rig in the configuration beside the paper's."""
+RIGS = {"five_storey": (5, (2, 2)), "single_storey": (1, (1,))}
+"""Floors, and braces in each group, of each rig in the configuration beside the paper's."""
 
 
 def rig_named(name: str) -> Rig:
@@ -54,17 +54,19 @@ def record(graph: Any, rig: str, commander: str, *arguments: Path, **parameters:
     return bag
 
 
-def expect_lengths(bag: Path, floors: int, groups: int) -> None:
+def expect_lengths(bag: Path, floors: int, braces: tuple[int, ...]) -> None:
     response = read_topics(bag)
     (recorded,) = (topic.fields for name, topic in response.items() if name.endswith("/response"))
     for name in ("displacement", "acceleration"):
         assert recorded[name].shape[1] == floors, name
-    for name in ("stroke", "force", "command"):
+    groups = len(braces)
+    for name in ("stroke", "command"):
         assert recorded[name].shape[1] == groups, name
+    assert recorded["force"].shape[1] == sum(braces)
     (commands,) = (topic.fields for name, topic in response.items() if name.endswith("/brace_command"))
     assert commands["force"].shape[1] == groups
     run = read_run(bag)
-    assert (run.floors, run.groups) == (floors, groups)
+    assert (run.floors, run.groups, run.braces) == (floors, groups, braces)
     assert not run.facts.get("warnings")
 
 

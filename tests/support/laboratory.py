@@ -41,7 +41,7 @@ class Laboratory:
         self.model = rig.discrete_model()
 
     def _run(self, source: str, outputs: Array, ground: Array, command_until: Array) -> Run:
-        channels = self.rig.sensors.channels(self.rig.floors, self.rig.groups)
+        channels = self.rig.sensors.channels(self.rig.floors, self.rig.groups, self.rig.groups)
         sensors = Measurement(channels, self.seed, self.model.sample_period)
         readings = sensors.record(np.column_stack([outputs, ground]))
         sequence = np.arange(len(ground), dtype=np.uint64)

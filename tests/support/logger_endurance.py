@@ -64,7 +64,7 @@ class Publishers:
         self.matched: dict[str, str] = {}
         self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         x = [0.1, 0.2, 0.3]
-        response = Response(displacement=x, acceleration=x, stroke=x[:1], force=x[:1], command=x[:1])
+        response = Response(braces=[1], displacement=x, acceleration=x, stroke=x[:1], force=x[:1], command=x[:1])
         messages = {"response": response, "brace_command": BraceCommand(force=x[:1]), "ground_motion": AccelStamped()}
         self.topics = {}
         self.publishers = {}

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from abrace_core import signals
 from abrace_core.controller_file import Controller
 from abrace_core.noise import banded_noise
 from abrace_core.safety.rig_safety import RigSafety
@@ -110,8 +109,7 @@ def rehearse(
     """
     cause = cause or Cause()
     period, groups = 1 / rig.sample_rate, rig.groups
-    names = (*signals.response_names(rig.floors, groups), signals.GROUND)
-    sensors = rig.sensors.channels(rig.floors, groups)
+    names, sensors = rig.channel_names, rig.channel_sensors
     measurement, over_range = Measurement(sensors, seed, period), OverRange(sensors)
     if cause.fault:
         measurement.faults = (parse_fault(f"{cause.fault}@{cause.start}", names, period),)
@@ -131,7 +129,7 @@ def rehearse(
         safety.act([wanted, [planned + (cause.table if k >= start else 0.0)]])
         if running and k:
             running.advance(braces.value)
-        true[:-1] = motion.outputs(table.value[0], np.array(braces.value))
+        true[:-1] = motion.outputs(table.value[0], np.array(braces.value))[rig.measured_outputs]
         true[-1] = table.value[0]
         reading = measurement.read(true)
         if cause.tamper and k >= start:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 CONFIG = Path(__file__).parents[2] / "src/abrace_plant/config"
 RIG = load_rig(CONFIG / "ncree_three_storey.yaml")
 LAYOUT = CONFIG / "device_parts/udp_layout.yaml"
-CHANNELS = ("x1", "x2", "x3", "xf", "a1", "a2", "a3", "f", "w")
+CHANNELS = ("x1", "x2", "x3", "xf", "a1", "a2", "a3", "fa", "fb", "w")
 PERIOD = round(1e9 / RIG.sample_rate)
 
 

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 RESPONSE_TYPE = "abrace_interfaces/msg/Response"
 _FLOORS = ("displacement", "acceleration")
-_GROUPS = ("stroke", "force", "command")
+_GROUPS = ("stroke", "command")
+_VECTORS = (*_FLOORS, *_GROUPS, "force")
 
 
 def read_run(bag: Path | str, topic: str | None = None) -> Run:
@@ -80,7 +81,7 @@ def _parts(response: TopicArrays, whole: bool) -> list[TopicArrays]:
     """The runs of a topic of responses; of a `whole` one, which lacks no sample, there is one."""
     if not response.log_time.size:
         raise AbraceError("has no messages, expected a recorded test")
-    missing = [name for name in (*_FLOORS, *_GROUPS, "sequence", "ground_acceleration") if name not in response.fields]
+    missing = [name for name in (*_VECTORS, "sequence", "ground_acceleration") if name not in response.fields]
     if missing:
         raise AbraceError(f"has no field {missing[0]}, expected this version's {RESPONSE_TYPE}")
     sequence = response.fields["sequence"]
@@ -104,11 +105,14 @@ def _parts(response: TopicArrays, whole: bool) -> list[TopicArrays]:
 
 def _run(source: str, response: TopicArrays, facts: dict[str, Any]) -> Run:
     sequence = response.fields["sequence"]
-    values = {name: _finite(name, response.fields[name], sequence) for name in (*_FLOORS, *_GROUPS)}
+    values = {name: _finite(name, response.fields[name], sequence) for name in _VECTORS}
     for names in (_FLOORS, _GROUPS):
         sizes = [values[name].shape[1] for name in names]
         if len(set(sizes)) > 1:
             raise AbraceError(f"{', '.join(names)} have {sizes} values, expected equal numbers")
+    braces = _braces(response, values["stroke"].shape[1], values["force"].shape[1])
+    starts = np.concatenate([[0], np.cumsum(braces)[:-1]]).astype(np.intp)
+    values["force"] = np.add.reduceat(values["force"], starts, axis=1) / braces if braces else values["force"]
     return Run(
         source=source,
         sample_period=_sample_period(response, facts),
@@ -120,7 +124,19 @@ def _run(source: str, response: TopicArrays, facts: dict[str, Any]) -> Run:
         command=values["command"],
         facts=dict(facts),
         clipped=response.fields.get("clipped"),
+        braces=braces,
     )
+
+
+def _braces(response: TopicArrays, groups: int, forces: int) -> tuple[int, ...]:
+    """Braces in each group; responses that do not say have one force for each group."""
+    counts = response.fields.get("braces", np.ones((1, groups), dtype=np.uint8))
+    if counts.dtype == object or (counts != counts[0]).any():
+        raise AbraceError("braces are not the same in all samples")
+    braces = tuple(counts[0].tolist())
+    if len(braces) != groups or sum(braces) != forces or 0 in braces:
+        raise AbraceError(f"braces {list(braces)} of {groups} groups with {forces} forces, expected one of each brace")
+    return braces
 
 
 def _check_sequence(sequence: NDArray[np.uint64]) -> None:

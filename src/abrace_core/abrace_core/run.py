@@ -31,7 +31,7 @@ class Run:
     floors, groups
         Size of the rig.
     outputs
-        (samples, channels): the recorded quantities z, named by `names`.
+        (samples, channels): the recorded quantities z, named by `names`; a group's force is the mean of its braces'.
     ground_acceleration
         (samples,) [m/s^2].
     command
@@ -39,8 +39,10 @@ class Run:
     facts
         Of the run, from the bag's metadata: rig, controller, record, versions.
     clipped
-        (samples,) bit i: channel i of [outputs, ground acceleration] is at the end of its sensor's range; None where
-        the bag does not say.
+        (samples,) bit i: channel i of the rig's `signals.channel_names` is at the end of its sensor's range; None
+        where the bag does not say.
+    braces
+        (groups,) number of braces, each with a load cell; by default one in each group.
     """
 
     source: str
@@ -53,6 +55,7 @@ class Run:
     command: NDArray[np.float64]
     facts: dict[str, Any] = field(default_factory=dict)
     clipped: NDArray[np.uint64] | None = None
+    braces: tuple[int, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -79,7 +82,7 @@ class Run:
         """By channel, how many samples are at the end of its sensor's range, where there are some; None: unknown."""
         if self.clipped is None:
             return None
-        names = (*self.names, signals.GROUND)[:64]
+        names = signals.channel_names(self.floors, self.braces or (1,) * self.groups)[:64]
         counts = {name: int(np.sum(self.clipped >> np.uint64(i) & np.uint64(1))) for i, name in enumerate(names)}
         return {name: count for name, count in counts.items() if count}
 

@@ -11,6 +11,7 @@ nanosec, string frame_id), and the fields of Response, BraceCommand or geometry_
 from __future__ import annotations
 
 import struct
+from itertools import accumulate
 from typing import TYPE_CHECKING, NamedTuple
 
 from abrace_core.errors import AbraceError
@@ -119,9 +120,11 @@ class Head(NamedTuple):
 class Responses:
     """Packs and unpacks Response messages; a reader learns the rig's size from the first one."""
 
-    _NUMBERS = struct.Struct("<QQQIB3x")
+    _HEAD = struct.Struct("<QQQIB3x")
     _arrays: _Arrays | None = None
     _text = "", b""
+    _counted: tuple[int, ...] = ()
+    _spans: Sequence[tuple[int, int]] = ()
     floors = groups = 0
 
     def pack(
@@ -129,6 +132,7 @@ class Responses:
         stamp: int,
         head: Head,
         cause: str,
+        braces: Sequence[int],
         displacement: Sequence[float],
         acceleration: Sequence[float],
         stroke: Sequence[float],
@@ -138,19 +142,22 @@ class Responses:
     ) -> bytes:
         """The message with the fields of Response, SI units; `stamp` [ns].
 
-        `cause`, `displacement`, `acceleration`, `stroke`, `force`, `command` and `ground_acceleration` are as in
-        Response.msg, `head` has the rest; the arrays' lengths stay those of the first call.
+        `cause`, `braces`, `displacement`, `acceleration`, `stroke`, `force`, `command` and `ground_acceleration` are as
+        in Response.msg, `head` has the rest; the arrays' lengths stay those of the first call.
         """
         arrays = (displacement, acceleration, stroke, force, command)
         header = _pack_header(stamp, "table")
         if self._arrays is None:
-            self._arrays = _Arrays(len(header), self._NUMBERS, [len(array) for array in arrays], 1)
+            self._arrays = _Arrays(len(header), self._numbers(len(braces)), [len(array) for array in arrays], 1)
         if cause != self._text[0] or not self._text[1]:
             self._text = cause, _pack_text(cause, self._arrays.offset + self._arrays.struct.size)
-        return header + self._arrays.pack(head, arrays, (ground_acceleration,), self._text[1])
+        numbers = (*head, len(braces), *braces)
+        return header + self._arrays.pack(numbers, arrays, (ground_acceleration,), self._text[1])
 
     def unpack(self, payload: bytes) -> tuple[int, Head, tuple[float, ...]]:
         """Stamp [ns], head, and z = [displacement, stroke, acceleration, force] of a `payload`.
+
+        The force is the mean of each group's braces.
 
         Raises
         ------
@@ -163,17 +170,16 @@ class Responses:
             arrays = self._learn(payload, offset)
         values = arrays.struct.unpack_from(payload, offset)
         x, a, s, f, u = arrays.starts
-        n, m = self.floors, self.groups
-        if values[x] != n or values[a] != n or values[s] != m or values[f] != m or values[u] != m:
+        n, m, cells = self.floors, self.groups, arrays.lengths[3]
+        known = values[x] == values[a] == n and values[s] == values[u] == m and values[f] == cells
+        if not known or values[5:x] != self._counted:
             self._learn(payload, offset)
             return self.unpack(payload)
-        z = (
-            values[x + 1 : x + 1 + n]
-            + values[s + 1 : s + 1 + m]
-            + values[a + 1 : a + 1 + n]
-            + values[f + 1 : f + 1 + m]
-        )
-        return stamp, Head(*values[:5]), z
+        z = values[x + 1 : x + 1 + n] + values[s + 1 : s + 1 + m] + values[a + 1 : a + 1 + n]
+        force = values[f + 1 : f + 1 + cells]
+        if cells != m:
+            force = tuple([sum(force[begin:end]) / (end - begin) for begin, end in self._spans])
+        return stamp, Head(*values[:5]), z + force
 
     def cause(self, payload: bytes) -> str:
         """The cause of a fault in a `payload` that has just been unpacked; empty: there is none.
@@ -187,7 +193,11 @@ class Responses:
         return _unpack_text(payload, self._arrays.offset + self._arrays.struct.size, "Response")
 
     def _learn(self, payload: bytes, offset: int) -> _Arrays:
-        position, lengths = offset + self._NUMBERS.size, []
+        counts = offset + self._HEAD.size + 4
+        groups = int.from_bytes(payload[counts - 4 : counts], "little")
+        braces = tuple(payload[counts : counts + groups])
+        numbers = self._numbers(len(braces))
+        position, lengths = offset + numbers.size, []
         for _ in range(5):
             position = _aligned(position, 4)
             if position + 4 > len(payload):
@@ -197,14 +207,23 @@ class Responses:
             position += 4
             if length:
                 position = _aligned(position, 8) + 8 * length
-        if _aligned(position, 8) + 8 > len(payload):
+        if len(braces) < groups or _aligned(position, 8) + 8 > len(payload):
             raise AbraceError("Response: cut off")
-        floors, accelerations, groups, forces, commands = lengths
-        if floors != accelerations or not groups == forces == commands:
-            raise AbraceError(f"Response: arrays of {lengths}, expected floors, floors, and three times brace groups")
+        floors, accelerations, strokes, forces, commands = lengths
+        if floors != accelerations or not groups == strokes == commands or forces != sum(braces) or 0 in braces:
+            raise AbraceError(
+                f"Response: arrays of {lengths}, braces {list(braces)}, expected floors, floors, groups, braces, groups"
+            )
         self.floors, self.groups = floors, groups
-        self._arrays = _Arrays(offset, self._NUMBERS, lengths, 1)
+        ends = list(accumulate(braces))
+        self._counted, self._spans = (groups, *braces), list(zip([0, *ends], ends, strict=False))
+        self._arrays = _Arrays(offset, numbers, lengths, 1)
         return self._arrays
+
+    @classmethod
+    def _numbers(cls, groups: int) -> struct.Struct:
+        """Layout of the head and the number of braces in each group, up to the next 4-byte field."""
+        return struct.Struct(f"{cls._HEAD.format}I{groups}B{-groups % 4}x")
 
 
 class BraceCommands:

@@ -77,7 +77,7 @@ class Channel(CommandChannel):
 
 
 class CalibrationFile(Checked):
-    """A calibration file: a channel by its signal's name (x1, xf, a1, f, w) and a command by its (U, w)."""
+    """A calibration file: a channel by its signal's name (x1, xf, a1, fa, w) and a command by its (U, w)."""
 
     channels: dict[str, Channel]
     commands: dict[str, CommandChannel]

@@ -102,11 +102,6 @@ def calibration_of(path: Path | str) -> Path | None:
     return None if named is None else Path(path).parent / named
 
 
-def channels_of(rig: Rig) -> tuple[str, ...]:
-    """Names of the `rig`'s measured channels, in the order of a reading: z, then the ground acceleration w."""
-    return (*signals.response_names(rig.floors, rig.groups), signals.GROUND)
-
-
 def commands_of(rig: Rig) -> tuple[str, ...]:
     """Names of the `rig`'s commands: U of each brace group, then the table's acceleration w."""
     return (*signals.command_names(rig.groups), signals.GROUND)
@@ -130,10 +125,10 @@ def load_calibration(path: Path, file: DeviceFile, rig: Rig) -> Calibration:
         Naming the file, the key, the value and what was expected.
     """
     if file.calibration is None:
-        return Calibration(None, channels_of(rig), commands_of(rig), rig.sample_rate)
+        return Calibration(None, rig.channel_names, commands_of(rig), rig.sample_rate)
     beside = path.parent / file.calibration
     content = read_calibration(beside)
     try:
-        return Calibration(content, channels_of(rig), commands_of(rig), rig.sample_rate)
+        return Calibration(content, rig.channel_names, commands_of(rig), rig.sample_rate)
     except AbraceError as error:
         raise AbraceError(f"calibration file {beside}: {error}") from error

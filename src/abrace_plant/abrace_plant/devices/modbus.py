@@ -24,7 +24,6 @@ from abrace_plant.devices.file import (
     DeviceFile,
     PortNumber,
     TimeOut,
-    channels_of,
     commands_of,
     load_calibration,
 )
@@ -88,7 +87,7 @@ def register_blocks(path: Path, file: ModbusFile, rig: Rig) -> tuple[RegisterMap
             f"of {rig.name} is {rig.sample_rate:g} Hz, expected a rig file with a lower one"
         )
     try:
-        inputs = blocks(registers.inputs, channels_of(rig), registers.word_order, WIDEST_GAP, "inputs")
+        inputs = blocks(registers.inputs, rig.channel_names, registers.word_order, WIDEST_GAP, "inputs")
         outputs = blocks(registers.outputs, commands_of(rig), registers.word_order, 0, "outputs")
     except AbraceError as error:
         raise AbraceError(f"register map file {beside}: {error}") from error

@@ -18,7 +18,6 @@ from scipy.optimize import linear_sum_assignment
 from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_plant.devices.calibration import AT_END
-from abrace_plant.devices.file import channels_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -124,7 +123,7 @@ def check_sensors(rig: Rig, readings: ArrayLike, ranges: ArrayLike | None = None
     AbraceError
         If the record has another number of channels, is too short, or not finite.
     """
-    names = channels_of(rig)
+    names = rig.channel_names
     values = np.asarray(readings, dtype=np.float64)
     if values.ndim != 2 or values.shape[1] != len(names) or len(values) < LEAST_SAMPLES:
         raise AbraceError(
@@ -133,7 +132,7 @@ def check_sensors(rig: Rig, readings: ArrayLike, ranges: ArrayLike | None = None
     if not np.isfinite(values).all():
         bad = names[int(np.flatnonzero(~np.isfinite(values).all(axis=0))[0])]
         raise AbraceError(f"readings of {bad} are not finite")
-    sensors = rig.sensors.channels(rig.floors, rig.groups)
+    sensors = rig.channel_sensors
     ends = np.array([sensor.range for sensor in sensors]) if ranges is None else np.asarray(ranges)
     ends = np.where(np.isfinite(ends), ends, [sensor.range for sensor in sensors])
     expected = np.array([sensor.noise for sensor in sensors])

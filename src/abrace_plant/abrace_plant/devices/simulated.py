@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core import signals
 from abrace_plant.devices.device import Reading
 from abrace_plant.rig.motion import RigMotion
 from abrace_plant.rig.sensors import Measurement, parse_fault
@@ -37,8 +36,7 @@ def sensor_faults(texts: Sequence[str], rig: Rig) -> tuple[SensorFault, ...]:
     AbraceError
         As in `parse_fault`.
     """
-    channels = *signals.response_names(rig.floors, rig.groups), signals.GROUND
-    return tuple(parse_fault(text, channels, 1 / rig.sample_rate) for text in texts)
+    return tuple(parse_fault(text, rig.channel_names, 1 / rig.sample_rate) for text in texts)
 
 
 class SimulatedRig:
@@ -57,9 +55,9 @@ class SimulatedRig:
     def __init__(self, rig: Rig, seed: int, by_the_clock: bool) -> None:
         self._period = 1 / rig.sample_rate
         self._motion = RigMotion(rig)
-        channels = rig.sensors.channels(rig.floors, rig.groups)
-        self._measurement = Measurement(channels, seed, self._period)
-        self._true = np.zeros(len(channels))
+        self._measurement = Measurement(rig.channel_sensors, seed, self._period)
+        self._measured_outputs = rig.measured_outputs
+        self._true = np.zeros(len(rig.channel_names))
         self._by_the_clock = by_the_clock
         self._samples = 0
         self._start = 0.0
@@ -89,7 +87,7 @@ class SimulatedRig:
                 missed = late
             stamp = time.time_ns()
         for _ in range(1 + missed):
-            self._true[:-1] = self._motion.outputs(table, np.asarray(command))
+            self._true[:-1] = self._motion.outputs(table, np.asarray(command))[self._measured_outputs]
         self._samples += 1 + missed
         self._true[-1] = table
         values = self._measurement.read(self._true)

@@ -24,7 +24,6 @@ from abrace_plant.devices.file import (
     DeviceFile,
     PortNumber,
     TimeOut,
-    channels_of,
     commands_of,
     load_calibration,
 )
@@ -101,7 +100,7 @@ def packets(path: Path, file: UdpFile, rig: Rig) -> tuple[Packet, Packet]:
     beside = path.parent / file.layout
     layout = read_layout(beside)
     try:
-        return Packet(layout, "sample", channels_of(rig)), Packet(layout, "command", commands_of(rig))
+        return Packet(layout, "sample", rig.channel_names), Packet(layout, "command", commands_of(rig))
     except AbraceError as error:
         raise AbraceError(f"layout file {beside}: {error}") from error
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from abrace_core.config_file import read_config
 from abrace_core.errors import AbraceError
-from abrace_plant.devices.file import channels_of, kind_of, load_calibration
+from abrace_plant.devices.file import kind_of, load_calibration
 from abrace_plant.devices.modbus import ModbusFile, register_blocks
 from abrace_plant.devices.udp import UdpFile, packets
 from abrace_plant.emulator.link import Faults
@@ -99,7 +99,7 @@ class Emulator:
     def __init__(
         self, path: Path, rig: Rig, bridge: str, seed: int = 0, faults: Sequence[str] = (), control_port: int = 0
     ) -> None:
-        self._channels = channels_of(rig)
+        self._channels = rig.channel_names
         self.target = Target(rig, seed, self._channels)
         self.port = target_port(path, rig, self.target, bridge, seed)
         self._later: list[tuple[float, str]] = []

@@ -71,11 +71,12 @@ class Target:
     def __init__(self, rig: Rig, seed: int, channels: Sequence[str]) -> None:
         self.period = 1 / rig.sample_rate
         self._motion = RigMotion(rig)
-        self._measurement = Measurement(rig.sensors.channels(rig.floors, rig.groups), seed, self.period)
+        self._measurement = Measurement(rig.channel_sensors, seed, self.period)
         self._channels = tuple(channels)
         self._most = np.append(rig.capacity, rig.table.peak_acceleration)
         self._rate_limit = rig.rate_limit
         self._jerk_step = rig.table.peak_jerk * self.period
+        self._measured_outputs = rig.measured_outputs
         self._true = np.zeros(len(channels))
         self._command = np.zeros(rig.groups + 1)
         self._acting = np.zeros(rig.groups + 1)
@@ -152,7 +153,7 @@ class Target:
         """The readings at this tick, after one with the outputs that act."""
         ground = float(self._acting[-1])
         self._velocity += ground * self.period
-        self._true[:-1] = self._motion.outputs(ground, self._acting[:-1])
+        self._true[:-1] = self._motion.outputs(ground, self._acting[:-1])[self._measured_outputs]
         self._true[-1] = ground
         return self._measurement.read(self._true)
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
-from abrace_core import signals
 from abrace_core.safety.command_guard import CommandGuard
 from abrace_core.safety.rig_safety import RAMP_TIME, RigSafety
 from abrace_core.safety.table_guard import TableGuard
@@ -165,8 +164,8 @@ class RigLoop:
         assert isinstance(table, TableGuard)
         self._braces, self._table = braces, table
         self.interlocks = Interlocks(rig)
-        self._over_range = OverRange(rig.sensors.channels(rig.floors, rig.groups))
-        self._names = (*signals.response_names(rig.floors, rig.groups), signals.GROUND)
+        self._over_range = OverRange(rig.channel_sensors)
+        self._names = rig.channel_names
         self.clipped = dict.fromkeys(self._names, 0)
         self._watched = safety.acting
         self._inputs = {COMMAND: _Input(COMMAND, timeout), GROUND: _Input(GROUND, timeout)}

@@ -20,7 +20,7 @@ PARAMETERS = [
     Parameter(
         "sensor_faults",
         [],
-        "failed channels, as a2=stuck, x3=zero, f=noise@20.0 (from second 20 on)",
+        "failed channels, as a2=stuck, x3=zero, fa=noise@20.0 (from second 20 on)",
         element=str,
         live=True,
     ),

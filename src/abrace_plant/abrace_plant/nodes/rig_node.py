@@ -165,12 +165,14 @@ class RigNode(AbraceLifecycleNode):
 
     def publish_sample(self, sample: Sample) -> None:
         """Publish a sample, report a fault that is new, and end the run after its last one."""
-        reading, floors, groups = sample.reading, self.rig.floors, self.rig.groups
+        rig, reading = self.rig, sample.reading
+        floors, groups = rig.floors, rig.groups
         self.response.publish(
             self.responses.pack(
                 sample.stamp,
                 sample.head,
                 sample.cause,
+                rig.braces_in_group,
                 displacement=reading[:floors],
                 acceleration=reading[floors + groups : 2 * floors + groups],
                 stroke=reading[floors : floors + groups],

@@ -12,7 +12,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.node import Parameter, find_file, run
 from abrace_plant.devices.calibration import Calibration, write_calibration
 from abrace_plant.devices.device import Device, DeviceError
-from abrace_plant.devices.file import calibration_of, channels_of, commands_of, load_device
+from abrace_plant.devices.file import calibration_of, commands_of, load_device
 from abrace_plant.devices.zeroing import Zeroing, check_names
 from abrace_plant.live.loop import Sample
 from abrace_plant.nodes.rig_node import STOP_PERIOD, RigNode
@@ -52,7 +52,7 @@ class SensorBridge(RigNode):
         self.path = find_file(self.parameters.device, "abrace_plant", "config/devices", ".yaml", "device")
         self.device = load_device(self.path, rig)
         self.calibration_file = calibration_of(self.path)
-        check_names(channels_of(rig), self.parameters.zero_channels)
+        check_names(rig.channel_names, self.parameters.zero_channels)
         return rig
 
     def make_device(self) -> Device:
@@ -120,7 +120,7 @@ class SensorBridge(RigNode):
             self.zeroing = None
         new, changes = zeroing.result()
         write_calibration(path, new)
-        new_calibration = Calibration(new, channels_of(rig), commands_of(rig), rig.sample_rate)
+        new_calibration = Calibration(new, rig.channel_names, commands_of(rig), rig.sample_rate)
         with self.lock:
             device.calibration = new_calibration  # type: ignore[attr-defined]
         self.zeroed = time.strftime("%Y-%m-%d %H:%M:%S")
@@ -129,7 +129,7 @@ class SensorBridge(RigNode):
     def prepare_change(self, name: str, value: list[str]) -> Callable[[], None]:
         """Channels that are zeroed from now on."""
         if self.configured:
-            check_names(channels_of(self.rig), value)
+            check_names(self.rig.channel_names, value)
         return super().prepare_change(name, value)
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:

@@ -130,11 +130,11 @@ class _System:
 def detectors(rig: Rig) -> Detectors:
     """The detectors of a rig; a disconnected brace group has none."""
     n, m, period = rig.floors, rig.groups, 1 / rig.sample_rate
-    channels = (*signals.response_names(n, m), signals.GROUND)
+    channels = rig.channel_names
     inputs = len(channels) + m + 2
     unit = np.eye(inputs)
     x, stroke, a, force = (unit[first:] for first in (0, n, n + m, 2 * n + m))
-    ground, command = unit[2 * n + 2 * m], unit[len(channels) :]
+    ground, command = unit[len(channels) - 1], unit[len(channels) :]
     system = _System(inputs)
 
     for i in range(n):
@@ -147,21 +147,24 @@ def detectors(rig: Rig) -> Detectors:
     for i in range(n):
         system.filter(Quantity("velocity", f"x{i + 1}", f"velocity of floor {i + 1}"), derivative, x[i : i + 1])
     connected = [j for j in range(m) if rig.braces[j].connected]
-    names = channels[n : n + m], channels[2 * n + m : 2 * n + 2 * m]
+    strokes = channels[n : n + m]
+    groups = np.repeat(np.arange(m), rig.braces_in_group).tolist()
+    cells = [(channels[2 * n + m + k], force[k : k + 1], j) for k, j in enumerate(groups) if rig.braces[j].connected]
     for j in connected:
-        system.watch(Quantity("stroke", names[0][j], f"stroke {names[0][j]}"), stroke[j])
+        system.watch(Quantity("stroke", strokes[j], f"stroke {strokes[j]}"), stroke[j])
     for i in range(n):
         system.watch(Quantity("acceleration", f"a{i + 1}", f"acceleration a{i + 1}"), a[i])
-    for j in connected:
-        system.watch(Quantity("force", names[1][j], f"force {names[1][j]}"), force[j])
-        error = Quantity("force_error", names[1][j], f"force {names[1][j]} against its command")
+    for name, measured, j in cells:
+        system.watch(Quantity("force", name, f"force {name}"), measured[0])
+        error = Quantity("force_error", name, f"force {name} against its command")
         actuator = rig.braces[j].actuator
-        system.filter(error, _lag(actuator.lag, actuator.command_delay, period), np.array([command[j], force[j]]))
+        lagging = _lag(actuator.lag, actuator.command_delay, period)
+        system.filter(error, lagging, np.vstack([command[j : j + 1], measured]))
     modes = frequencies(rig)
     faster = _bilinear(_second_order(FASTER * modes[-1], (1.0, 0.0, 0.0)), period)
-    for j in connected:
-        name = f"oscillation of force {names[1][j]}, rms above {FASTER * modes[-1] / (2 * np.pi):.3g} Hz"
-        system.filter(Quantity("oscillation", names[1][j], name), faster, force[j : j + 1])
+    for name, measured, _ in cells:
+        text = f"oscillation of force {name}, rms above {FASTER * modes[-1] / (2 * np.pi):.3g} Hz"
+        system.filter(Quantity("oscillation", name, text), faster, measured)
     system.watch(Quantity("table_displacement", "table", "displacement of the table"), unit[-2])
     system.watch(Quantity("table_velocity", "table", "velocity of the table"), unit[-1])
 
@@ -175,9 +178,9 @@ def detectors(rig: Rig) -> Detectors:
     for j in connected:
         group = rig.braces[j]
         expected = group.cosine * group.direction(n) @ x[:n]
-        name = f"stroke {names[0][j]} against its floor's displacement"
-        system.watch(Quantity("implausible_stroke", names[0][j], name), stroke[j] - expected)
-    sensors = rig.sensors.channels(n, m)
+        name = f"stroke {strokes[j]} against its floor's displacement"
+        system.watch(Quantity("implausible_stroke", strokes[j], name), stroke[j] - expected)
+    sensors = rig.channel_sensors
     for k, channel in enumerate(channels):
         jump = _second_difference(1 / sensors[k].range)
         system.filter(Quantity("noisy", channel, f"jumps of {channel}"), jump, unit[k : k + 1])
@@ -225,6 +228,5 @@ def _second_difference(factor: float) -> Matrices:
 
 def sensor_noise(rig: Rig) -> NDArray[np.float64]:
     """(inputs,) standard deviations of the inputs by the sensors of a `rig` alone, steps of the converter included."""
-    sensors = rig.sensors.channels(rig.floors, rig.groups)
-    readings = [np.hypot(sensor.noise, sensor.step / np.sqrt(12)) for sensor in sensors]
+    readings = [np.hypot(sensor.noise, sensor.step / np.sqrt(12)) for sensor in rig.channel_sensors]
     return np.array([*readings, *[0.0] * (rig.groups + 2)])

@@ -81,7 +81,7 @@ class _Actuator(Checked):
 
 class _BraceGroup(Checked):
     floor: Annotated[int, pydantic.Field(ge=1)]
-    count: Annotated[int, pydantic.Field(ge=1)]
+    count: Annotated[int, pydantic.Field(ge=1, le=26)]
     cosine: Annotated[float, pydantic.Field(gt=0, le=1)]
     stiffener_stiffness: NotNegative
     actuator: _Actuator

@@ -101,8 +101,7 @@ class Interlocks:
     def __init__(self, rig: Rig) -> None:
         found = detectors(rig)
         self.table = limit_table(rig, found.noise(sensor_noise(rig)))
-        sensors = rig.sensors.channels(rig.floors, rig.groups)
-        names = (*signals.response_names(rig.floors, rig.groups), signals.GROUND)
+        sensors, names = rig.channel_sensors, rig.channel_names
         self._channels = count = len(sensors)
         self._names = (*names, *signals.command_names(rig.groups), "displacement of the table", "velocity of the table")
         self._quantities = (

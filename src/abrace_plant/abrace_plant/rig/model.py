@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from abrace_core.safety.table_stop import Table
     from abrace_plant.rig.actuator import Actuator
     from abrace_plant.rig.building import Building
-    from abrace_plant.rig.sensors import SensorSet
+    from abrace_plant.rig.sensors import Sensor, SensorSet
 
 
 @dataclass(frozen=True)
@@ -155,6 +155,28 @@ class Rig:
     def groups(self) -> int:
         """Number of brace groups."""
         return len(self.braces)
+
+    @cached_property
+    def braces_in_group(self) -> tuple[int, ...]:
+        """(groups,) number of braces."""
+        return tuple(group.count for group in self.braces)
+
+    @cached_property
+    def channel_names(self) -> tuple[str, ...]:
+        """(channels,) as `signals.channel_names` has them."""
+        return signals.channel_names(self.floors, self.braces_in_group)
+
+    @cached_property
+    def channel_sensors(self) -> list[Sensor]:
+        """(channels,)."""
+        return self.sensors.channels(self.floors, self.groups, sum(self.braces_in_group))
+
+    @cached_property
+    def measured_outputs(self) -> NDArray[np.intp]:
+        """(channels - 1,) which of the outputs z each channel measures; the last channel measures the table."""
+        others = 2 * self.floors + self.groups
+        groups = np.repeat(np.arange(self.groups), self.braces_in_group)
+        return np.concatenate([np.arange(others), others + groups])
 
     @property
     def capacity(self) -> NDArray[np.float64]:

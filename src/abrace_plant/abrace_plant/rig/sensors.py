@@ -64,13 +64,16 @@ class SensorSet:
     force: Sensor
     ground_acceleration: Sensor
 
-    def channels(self, floors: int, groups: int) -> list[Sensor]:
-        """One sensor a channel, in the order [z, w] of a rig of `floors` floors and `groups` brace groups."""
+    def channels(self, floors: int, groups: int, braces: int) -> list[Sensor]:
+        """One sensor a channel of a rig of `floors` floors and `braces` braces in `groups` groups.
+
+        In the order displacements, strokes, absolute accelerations, load cells, the table's acceleration.
+        """
         return (
             [self.displacement] * floors
             + [self.stroke] * groups
             + [self.acceleration] * floors
-            + [self.force] * groups
+            + [self.force] * braces
             + [self.ground_acceleration]
         )
 
