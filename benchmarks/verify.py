@@ -9,6 +9,7 @@ interlocks      their margins in the paper's tests, and what trips them
 records         the resampling of records, and their response spectra against eqsig
 lqg             the five controllers on the lockstep graph: Table 1, prediction, margins, reductions
 bags            killed loggers, cut-off and damaged files
+ambient         modes without any drive, their intervals, and changes found
 identification  poles, their intervals and prediction against the simulated rig; the paper's method and N4SID too
 """
 
@@ -27,6 +28,7 @@ import eqsig
 import identification_accuracy as accuracy
 import lqg_accuracy
 import numpy as np
+from ambient_accuracy import verify_ambient
 from bag_accuracy import verify_bags
 from bridge_endurance import bridge_endurance
 from claims import Claim, claim_table
@@ -286,13 +288,18 @@ def main() -> int:
     bridge, of_bridge = verify_bridge()
     records, of_records = verify_records()
     identification, of_identification, tables = verify_identification()
+    ambient, of_ambient, ambient_tables = verify_ambient()
     bags, of_bags = verify_bags()
     lqg, of_lqg, of_controllers = lqg_accuracy.verify_lqg(record)
-    claims += of_interlocks + of_safety + of_bridge + of_records + of_identification + of_bags + of_lqg
+    claims += of_interlocks + of_safety + of_bridge + of_records + of_identification + of_ambient + of_bags + of_lqg
     values = {"rig": rig, "interlocks": interlocks, "safety": safety, "bridge": bridge, "records": records}
-    values |= {"identification": identification, "bags": bags, "lqg": lqg}
+    values |= {"identification": identification, "ambient": ambient, "bags": bags, "lqg": lqg}
     write_text(RESULTS, json.dumps(values, indent=1) + "\n")
-    print("\n\n".join(table.text() for table in (claim_table(claims), *of_limits, *tables, *of_controllers)))
+    print(
+        "\n\n".join(
+            table.text() for table in (claim_table(claims), *of_limits, *tables, *ambient_tables, *of_controllers)
+        )
+    )
     print(f"wrote {RESULTS}")
     return 0 if all(claim.holds for claim in claims) else 1
 

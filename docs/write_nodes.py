@@ -59,6 +59,7 @@ NODES = {
         "recover": "Offline: says what is missing, topic by topic: bags.md.",
     },
     "abrace_sysid": {
+        "ambient": "Offline: bags without commands to modes with intervals; has the building changed (ambient.md).",
         "excitation": "Takes `response`; publishes `brace_command`. Service `~/clear_fault`.",
         "identify": "Offline: two bags to models, poles and figures.",
         "validate": "Offline: a bag against its simulation by a model.",

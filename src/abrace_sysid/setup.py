@@ -15,6 +15,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
+            "ambient = abrace_core.executable:main",
             "excitation = abrace_core.executable:main",
             "identify = abrace_core.executable:main",
             "validate = abrace_core.executable:main",

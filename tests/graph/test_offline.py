@@ -127,6 +127,20 @@ def test_bags_become_a_model_the_model_a_controller_and_both_are_compared(bags, 
     )
 
 
+def test_modes_are_found_without_a_drive_and_a_building_that_is_the_same_has_not_changed(bags, tmp_path):
+    ended = run_node("abrace_sysid", "ambient", bag=bags["table"], before=bags["table"], output=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.splitlines()[-2] == "no change beyond chance"
+    found = json.loads((tmp_path / "ambient.json").read_text())
+    rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
+    for frequency, _ in pole_table(rig.model.poles())[:3]:
+        assert any(mode["frequency"] == pytest.approx(frequency, rel=0.01) for mode in found["modes"])
+    assert found["change"]["changed"] is False
+    assert {mode["probability"] for mode in found["change"]["modes"]} == {1.0}
+    for name in ("ambient_stabilization.png", "building_change.png"):
+        assert (tmp_path / name).stat().st_size > 1000
+
+
 def test_a_bag_that_was_cut_off_is_used_as_far_as_it_goes_and_says_so(bags, tmp_path):
     cut = tmp_path / "cut"
     shutil.copytree(bags["table"], cut)
@@ -174,6 +188,7 @@ def test_a_bag_with_lost_samples_is_used_from_the_gap_on_and_refused_where_the_t
             {"record": "multisine", "duration": "80.0", "band": "[0.0, 10.0]"},
             "frequency above 0",
         ),
+        ("abrace_sysid", "ambient", {"bag": "{command}", "output": "o"}, "expected 0: an ambient test has no drive"),
         ("abrace_sysid", "validate", {"bag": "{check}", "model": "no.json", "output": "o"}, "model file no.json"),
         ("abrace_lqg", "design", {"model": "no.json", "output": "o.yaml"}, "model file no.json"),
         ("abrace_lqg", "design", {"model": "bad.json", "output": "o.yaml"}, "not JSON"),

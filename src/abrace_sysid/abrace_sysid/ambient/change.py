@@ -1,0 +1,122 @@
+"""Has the building changed? The modes of two ambient tests compared, each difference with its probability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+from scipy.optimize import linear_sum_assignment
+
+from abrace_core.errors import AbraceError
+from abrace_sysid.fitting.stabilization import modal_assurance
+
+if TYPE_CHECKING:
+    from abrace_sysid.ambient.modes import AmbientMode, AmbientTest
+
+NEAR, ALIKE = 0.2, 0.6
+"""Modes of two tests are the same where frequencies differ by less, and the modal assurance criterion is more."""
+SIGNIFICANCE = 0.01
+"""Probability that a building which has not changed is said to have, over all its modes."""
+
+
+@dataclass(frozen=True)
+class ModeChange:
+    """One mode before and after.
+
+    Parameters
+    ----------
+    before, after
+        The mode in each test.
+    assurance
+        Modal assurance criterion of the two shapes.
+    probability
+        That frequency and damping ratio differ by as much or more where nothing has changed.
+    """
+
+    before: AmbientMode
+    after: AmbientMode
+    assurance: float
+    probability: float
+
+    @property
+    def frequency_change(self) -> float:
+        """Relative."""
+        return self.after.frequency / self.before.frequency - 1
+
+    @property
+    def damping_change(self) -> float:
+        """Relative."""
+        return self.after.damping / self.before.damping - 1
+
+
+@dataclass(frozen=True)
+class BuildingChange:
+    """Two ambient tests of one building.
+
+    Parameters
+    ----------
+    modes
+        Those found in both, slowest first.
+    gone, new
+        Modes of one test alone.
+    """
+
+    modes: tuple[ModeChange, ...]
+    gone: tuple[AmbientMode, ...]
+    new: tuple[AmbientMode, ...]
+
+    @property
+    def changed(self) -> tuple[ModeChange, ...]:
+        """The modes whose difference chance does not explain."""
+        return tuple(mode for mode in self.modes if mode.probability < SIGNIFICANCE / len(self.modes))
+
+
+def compare_tests(before: AmbientTest, after: AmbientTest) -> BuildingChange:
+    """Compare two ambient tests by Hotelling's T squared of each mode's frequency and damping ratio.
+
+    Parameters
+    ----------
+    before, after
+        Of the same channels.
+
+    Raises
+    ------
+    AbraceError
+        If the channels differ.
+    """
+    if before.channels != after.channels:
+        raise AbraceError(
+            f"{after.source}: channels {', '.join(after.channels)}, expected those of {before.source}: "
+            f"{', '.join(before.channels)}"
+        )
+    pairs = _matched(before, after)
+    freedom = before.pieces + after.pieces - 2
+    changes = tuple(_change(before.modes[i], after.modes[j], freedom) for i, j in pairs)
+    known, found = {i for i, _ in pairs}, {j for _, j in pairs}
+    return BuildingChange(
+        changes,
+        tuple(mode for i, mode in enumerate(before.modes) if i not in known),
+        tuple(mode for j, mode in enumerate(after.modes) if j not in found),
+    )
+
+
+def _matched(before: AmbientTest, after: AmbientTest) -> list[tuple[int, int]]:
+    if not before.modes or not after.modes:
+        return []
+    shapes = [np.array([mode.shape for mode in test.modes]) for test in (before, after)]
+    alike = modal_assurance(*shapes)
+    frequencies = [np.array([mode.frequency for mode in test.modes]) for test in (before, after)]
+    apart = np.abs(frequencies[1] / frequencies[0][:, None] - 1)
+    cost = np.where((apart < NEAR) & (alike > ALIKE), 1 - alike + apart / NEAR, 1e6)
+    rows, columns = linear_sum_assignment(cost)
+    return [(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if cost[i, j] < 1e6]
+
+
+def _change(before: AmbientMode, after: AmbientMode, freedom: int) -> ModeChange:
+    difference = np.array([after.frequency - before.frequency, after.damping - before.damping])
+    squared = float(difference @ np.linalg.solve(before.covariance + after.covariance, difference))
+    probability = float(stats.f.sf(squared * (freedom - 1) / (2 * freedom), 2, freedom - 1))
+    assurance = float(modal_assurance(before.shape[None], after.shape[None])[0, 0])
+    return ModeChange(before, after, assurance, probability)

@@ -1,0 +1,232 @@
+"""From records of an ambient test to the modes of the structure: those that stay the same from order to order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import signal
+
+from abrace_core.errors import AbraceError
+from abrace_sysid.ambient.subspace import OutputCovariances, SubspaceModes
+from abrace_sysid.fitting.pole_estimate import PoleInterval
+from abrace_sysid.fitting.stabilization import modal_assurance
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+OVERSAMPLING = 2.56
+"""Sample rate after decimation, times the band's upper end."""
+WIDEST = 1500
+"""Greatest number of rows of the Hankel matrix."""
+LEAST_PIECES, MOST_PIECES = 8, 40
+PERIODS = 30.0
+"""Periods of the band's lower end in a piece."""
+FREQUENCY, SHAPE = 0.02, 0.05
+"""Below these differences a pole is that of the order below: relative, and 1 less the modal assurance criterion."""
+HEAVY_DAMPING = 0.2
+"""Ratio from which on a pole is no mode of a structure."""
+UNCERTAIN = 0.02
+"""Relative standard deviation of a frequency from which on a pole is none of the structure; of a damping ratio: 1."""
+LEAST_SHARE = 0.35
+"""Of all orders, at which a mode has to be found."""
+
+
+@dataclass(frozen=True)
+class AmbientMode:
+    """One mode of the structure.
+
+    Parameters
+    ----------
+    frequency, damping
+        [rad/s] and damping ratio.
+    covariance
+        (2, 2) of both.
+    shape
+        (channels,) complex, the greatest entry 1.
+    orders
+        At how many orders it was found.
+    """
+
+    frequency: float
+    damping: float
+    covariance: NDArray[np.float64]
+    shape: NDArray[np.complex128]
+    orders: int
+
+    @property
+    def interval(self) -> PoleInterval:
+        """Frequency and damping ratio with their standard deviations."""
+        return PoleInterval(self.frequency, self.damping, *np.sqrt(np.diag(self.covariance)).tolist())
+
+
+@dataclass(frozen=True)
+class AmbientTest:
+    """What an ambient test says of a structure.
+
+    Parameters
+    ----------
+    source
+        Where the records came from.
+    channels
+        Their names.
+    modes
+        Slowest first.
+    candidates
+        Of all orders, for the stabilisation diagram.
+    pieces
+        Of the records, from which the uncertainty comes: it has one degree of freedom less.
+    seconds
+        Length of all records.
+    spectrum
+        (lines, 2) frequency [Hz] and first singular value of the spectral matrix of the scaled channels.
+    """
+
+    source: str
+    channels: tuple[str, ...]
+    modes: tuple[AmbientMode, ...]
+    candidates: tuple[SubspaceModes, ...]
+    pieces: int
+    seconds: float
+    spectrum: NDArray[np.float64]
+
+
+def ambient_modes(
+    source: str,
+    records: Sequence[NDArray[np.float64]],
+    channels: Sequence[str],
+    sample_rate: float,
+    band: tuple[float, float],
+    highest_order: int = 40,
+) -> AmbientTest:
+    """Modes of a structure from its responses to an excitation that was not measured.
+
+    Parameters
+    ----------
+    source
+        For messages.
+    records
+        Each (samples, channels), any units.
+    channels
+        Their names.
+    sample_rate
+        [Hz].
+    band
+        Lowest and highest frequency of modes [Hz].
+    highest_order
+        Greatest number of poles that are tried.
+
+    Raises
+    ------
+    AbraceError
+        If the band is none, a value is not finite, a channel never changes, or the records are too short.
+    """
+    low, high = band
+    if not 0 < low < high <= sample_rate / 2:
+        raise AbraceError(
+            f"band {low:g} to {high:g} Hz, expected within 0 to {sample_rate / 2:g} Hz, the lower above 0"
+        )
+    for record in records:
+        for name, column in zip(channels, record.T, strict=True):
+            if not np.isfinite(column).all():
+                raise AbraceError(f"{source}: channel {name} has values that are not finite")
+            if not np.ptp(column):
+                raise AbraceError(f"{source}: channel {name} never changes from {column[0]:g}")
+    factor = max(1, math.floor(sample_rate / (OVERSAMPLING * high)))
+    rate = sample_rate / factor
+    prepared = [_prepared(record, sample_rate, factor, low) for record in records]
+    size = np.sqrt(np.mean(np.concatenate(prepared) ** 2, axis=0))
+    prepared = [record / size for record in prepared]
+    lags = min(math.ceil(rate / (2 * low)), WIDEST // len(channels))
+    lags = max(lags, math.ceil((highest_order + len(channels)) / len(channels)))
+    length = sum(len(record) - 2 * lags for record in prepared)
+    longest = max(PERIODS * rate / low, 4.0 * lags)
+    pieces = min(max(int(length / longest), LEAST_PIECES), MOST_PIECES)
+    try:
+        covariances = OutputCovariances(prepared, lags, pieces)
+    except AbraceError as error:
+        raise AbraceError(
+            f"{source}: {error} at {rate:g} Hz: a longer record, or a higher lower end of the band"
+        ) from error
+    candidates = covariances.modes(range(2, highest_order + 1, 2), 1 / rate)
+    modes = [replace_shape(mode, size) for mode in _tracked(candidates, band)]
+    return AmbientTest(
+        source,
+        tuple(channels),
+        tuple(modes),
+        tuple(candidates),
+        covariances.pieces,
+        sum(len(record) for record in records) / sample_rate,
+        _spectrum(prepared, rate),
+    )
+
+
+def replace_shape(mode: AmbientMode, size: NDArray[np.float64]) -> AmbientMode:
+    """The `mode` with its shape in the channels' own units, of which each had been divided by its `size`."""
+    shape = mode.shape * size
+    return AmbientMode(
+        mode.frequency, mode.damping, mode.covariance, shape / shape[np.argmax(np.abs(shape))], mode.orders
+    )
+
+
+def _prepared(record: NDArray[np.float64], sample_rate: float, factor: int, low: float) -> NDArray[np.float64]:
+    """Without what is slower than the band or faster than half the new rate."""
+    high_pass = signal.butter(2, low / 2, "highpass", fs=sample_rate, output="sos")
+    still = signal.sosfiltfilt(high_pass, signal.detrend(record, axis=0, type="constant"), axis=0)
+    if factor > 1:
+        low_pass = signal.butter(8, 0.4 * sample_rate / factor, fs=sample_rate, output="sos")
+        still = signal.sosfiltfilt(low_pass, still, axis=0)[::factor]
+    return np.ascontiguousarray(still)
+
+
+def _tracked(candidates: Sequence[SubspaceModes], band: tuple[float, float]) -> list[AmbientMode]:
+    """The modes that are found again from order to order; of each the member that is least uncertain."""
+    tracks: list[list[tuple[int, AmbientMode]]] = []
+    low, high = (2 * np.pi * end for end in band)
+    for level, found in enumerate(candidates):
+        relative = np.sqrt(found.covariance[:, 0, 0]) / found.frequency
+        undamped = found.damping < np.sqrt(found.covariance[:, 1, 1])
+        fit = (found.frequency >= low) & (found.frequency <= high)
+        fit &= (found.damping > 0) & (found.damping < HEAVY_DAMPING) & (relative < UNCERTAIN) & ~undamped
+        new = [
+            AmbientMode(*values, orders=1)
+            for values in zip(
+                found.frequency[fit].tolist(),
+                found.damping[fit].tolist(),
+                found.covariance[fit],
+                found.shapes[fit],
+                strict=True,
+            )
+        ]
+        for mode in new:
+            near = [track for track in tracks if track[-1][0] < level and _same(track[-1][1], mode)]
+            if near:
+                min(near, key=lambda track: abs(track[-1][1].frequency - mode.frequency)).append((level, mode))
+            else:
+                tracks.append([(level, mode)])
+    modes: list[AmbientMode] = []
+    for track in sorted(tracks, key=len, reverse=True):
+        best = min((mode for _, mode in track), key=lambda mode: float(np.linalg.det(mode.covariance)))
+        # at high orders a mode may come twice
+        if len(track) >= LEAST_SHARE * len(candidates) and not any(_same(best, mode) for mode in modes):
+            modes.append(AmbientMode(best.frequency, best.damping, best.covariance, best.shape, len(track)))
+    return sorted(modes, key=lambda mode: mode.frequency)
+
+
+def _same(one: AmbientMode, other: AmbientMode) -> bool:
+    if abs(one.frequency / other.frequency - 1) > FREQUENCY:
+        return False
+    return bool(1 - modal_assurance(one.shape[None], other.shape[None])[0, 0] < SHAPE)
+
+
+def _spectrum(records: Sequence[NDArray[np.float64]], rate: float) -> NDArray[np.float64]:
+    """(lines, 2) frequency and first singular value of the spectral matrix, by Welch's method."""
+    record = max(records, key=len)
+    segment = min(len(record) // 8, 4096)
+    frequency, _, parts = signal.stft(record.T, rate, nperseg=segment)
+    matrices = np.einsum("aft,bft->fab", parts, parts.conj()) / parts.shape[-1]
+    return np.column_stack([frequency, np.linalg.svd(matrices, compute_uv=False)[:, 0]])
