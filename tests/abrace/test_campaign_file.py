@@ -1,11 +1,13 @@
 """The campaign file: read as written, and refused with a line that says where the mistake is."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from abrace.campaign.file import (
+    Ambient,
     Design,
     ExcitationMultisine,
     ExcitationNoise,
@@ -13,12 +15,16 @@ from abrace.campaign.file import (
     MultisineMotion,
     Record,
     RigTest,
+    Step,
     Validate,
     WhiteNoise,
     load_campaign,
 )
+from abrace.campaign.motions import check_braces
 from abrace.cli import main
 from abrace_core.errors import AbraceError
+from abrace_core.node import find_file
+from abrace_plant.rig.file import load_rig
 
 DEMO = Path(__file__).parents[2] / "src" / "abrace" / "campaigns" / "demo.yaml"
 
@@ -121,6 +127,30 @@ def test_any_test_may_be_set_beside_its_simulation(tmp_path):
     assert load_campaign(path).steps[-1].task == Validate(test="uncontrolled", model="model")
 
 
+def test_modes_without_a_drive_are_looked_for_before_and_after(tmp_path):
+    path = tmp_path / "campaign.yaml"
+    step = "  - {name: morning, ambient: {test: [table_noise, uncontrolled], before: table_noise, band: [0.5, 15.0]}}\n"
+    path.write_text(DEMO.read_text() + step)
+    expected = Ambient(test=("table_noise", "uncontrolled"), before=("table_noise",), band=(0.5, 15.0))
+    assert load_campaign(path).steps[-1].task == expected
+
+
+def test_braces_may_be_disconnected_in_tests_that_are_used_together(tmp_path):
+    path = tmp_path / "campaign.yaml"
+    text = DEMO.read_text().replace("duration: 240.0", "duration: 240.0\n      disconnected_braces: [1]")
+    path.write_text(text.partition("  - name: lqg3")[0])
+    campaign = load_campaign(path)
+    assert [step.task.disconnected_braces for step in campaign.steps[:2]] == [(1,), (1,)]
+    rig = load_rig(find_file(campaign.rig, "abrace_plant", "config", ".yaml", "rig"))
+    with pytest.raises(AbraceError, match=r"step command_noise: commands to braces of which none is connected"):
+        check_braces(campaign, rig)
+    other = replace(campaign, steps=(Step("rest", RigTest(duration=1.0, disconnected_braces=(2,))),))
+    with pytest.raises(
+        AbraceError, match=r"step rest: test\.disconnected_braces: brace group 2: expected one of the rig's"
+    ):
+        check_braces(other, rig)
+
+
 # what in the demo is replaced, by what, and what the error says after "campaign file <path>: "
 MISTAKES = [
     ("lockstep: true", "lockstep: true\ndevice: emulator", "lockstep: true, expected false with a device"),
@@ -132,6 +162,26 @@ MISTAKES = [
     ("name: demo\n", "", "name: key is missing"),
     ("rig: ncree_three_storey", "rig: ''", "rig: '', expected .*at least 1"),
     ("duration: 240.0", "duration: 0.0", "steps.0.test.duration: 0.0, expected .*greater than 0"),
+    (
+        "duration: 240.0",
+        "duration: 240.0\n      disconnected_braces: [1, 1]",
+        "disconnected_braces: .*every brace group once",
+    ),
+    (
+        "duration: 240.0",
+        "duration: 240.0\n      disconnected_braces: [0]",
+        "disconnected_braces.0: 0, expected .*equal to 1",
+    ),
+    (
+        "duration: 240.0",
+        "duration: 240.0\n      disconnected_braces: [1]",
+        r"step model: identify: command_noise has brace groups \[\] disconnected, expected \[1\] as table_noise",
+    ),
+    (
+        "identify: {table: table_noise, command: command_noise}",
+        "ambient: {test: command_noise}",
+        r"step model: ambient.test: 'command_noise', expected an earlier test without excitation and controller",
+    ),
     ("duration: 240.0", "duration: yes", "steps.0.test.duration: True, expected .*number"),
     ("duration: 240.0", "duration: .nan", "steps.0.test.duration: nan, expected"),
     ("duration: 240.0", "durations: 240.0", "steps.0.test.durations: unknown key"),

@@ -117,6 +117,24 @@ def test_multisines_on_table_and_command_at_once_give_a_model(tmp_path, environm
     assert set(summary["other_models"]) == {"superposed", "reduced"}
 
 
+def test_modes_of_the_frame_without_braces_and_without_a_drive_are_in_the_report(tmp_path, environment):
+    path = campaign(
+        tmp_path,
+        f"{{name: quiet, test: {{duration: 100.0, disconnected_braces: [1], ground_motion: {NOISE}}}}}",
+        "{name: modes, ambient: {test: quiet, before: quiet, band: [0.5, 10.0]}}",
+    )
+    process = start(tmp_path, environment, "campaign", str(path))
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert "Modes without a drive: modes, 100 s of a1, a2, a3" in output
+    assert "No change beyond chance." in output
+    found = json.loads((tmp_path / "results/short/summary.json").read_text())["ambient"]["modes"]
+    for bare in (6.673, 21.783, 37.506):
+        assert any(mode["frequency"] == pytest.approx(bare, rel=0.02) for mode in found["modes"]), bare
+    (bags,) = (tmp_path / "bags/short").iterdir()
+    assert read_facts(bags / "quiet")["disconnected_braces"] == "[1]"
+
+
 def test_a_node_that_dies_ends_the_campaign_with_its_name_and_last_lines(tmp_path, environment):
     path = campaign(tmp_path, f"{{name: shaken, test: {{duration: 600.0, ground_motion: {NOISE}}}}}")
     process = start(tmp_path, environment, "campaign", str(path))

@@ -117,13 +117,23 @@ GroundMotion = Annotated[
 ]
 
 
+def _different(groups: tuple[int, ...]) -> tuple[int, ...]:
+    if len(set(groups)) < len(groups):
+        raise ValueError("every brace group once")
+    return tuple(sorted(groups))
+
+
 class RigTest(Checked):
     """A run of the live graph, recorded to a bag.
 
-    duration [s]; excitation of the braces [N], or a controller: an earlier design step or a controller file.
+    duration [s]; excitation of the braces [N], or a controller: an earlier design step or a controller file; brace
+    groups (1 the first) that are not connected.
     """
 
     duration: Positive
+    disconnected_braces: Annotated[
+        tuple[Annotated[int, pydantic.Field(ge=1, strict=True)], ...], pydantic.AfterValidator(_different)
+    ] = ()
     ground_motion: GroundMotion | None = None
     excitation: Excitation | None = None
     controller: Text | None = None
@@ -153,6 +163,14 @@ class Design(Checked):
     weights: Text
 
 
+class Ambient(Checked):
+    """Modes from tests without commands, and whether the building has changed since others; band [Hz]."""
+
+    test: Tests
+    before: Tests | None = None
+    band: Annotated[tuple[Positive, Positive], pydantic.AfterValidator(_rising)] = (0.3, 20.0)
+
+
 class Validate(Checked):
     """A test against its simulation by a model; one with a controller also against the same test without control."""
 
@@ -162,7 +180,7 @@ class Validate(Checked):
     controller: Text | None = None
 
 
-Task = RigTest | Identify | Design | Validate
+Task = RigTest | Identify | Design | Validate | Ambient
 
 
 class _Step(Checked):
@@ -171,9 +189,11 @@ class _Step(Checked):
     identify: Identify | None = None
     design: Design | None = None
     validation: Annotated[Validate | None, pydantic.Field(alias="validate")] = None
+    ambient: Ambient | None = None
 
     def tasks(self) -> list[Task]:
-        return [task for task in (self.test, self.identify, self.design, self.validation) if task is not None]
+        given = (self.test, self.identify, self.design, self.validation, self.ambient)
+        return [task for task in given if task is not None]
 
 
 class _Campaign(Checked):
@@ -252,7 +272,13 @@ def load_campaign(path: Path | str) -> Campaign:
             raise AbraceError(f"{where}: name: {step.name!r}, expected a name that no earlier step has")
         tasks = step.tasks()
         if len(tasks) != 1:
-            raise AbraceError(f"{where}: {len(tasks)} tasks, expected exactly one of test, identify, design, validate")
+            raise AbraceError(
+                f"{where}: {len(tasks)} tasks, expected exactly one of test, identify, design, validate, ambient"
+            )
+        if isinstance(tasks[0], RigTest) and tasks[0].disconnected_braces and content.device is not None:
+            raise AbraceError(
+                f"{where}: test.disconnected_braces, expected none with a device: a person disconnects them"
+            )
         _check_references(where, tasks[0], earlier)
         earlier[step.name] = tasks[0]
     steps = tuple(Step(name, task) for name, task in earlier.items())
@@ -292,11 +318,21 @@ def _check_references(where: str, task: Task, earlier: dict[str, Task]) -> None:
             ):
                 for name in names:
                     refer(f"identify.{key}", name, RigTest, expected, fits)
+            _check_braces(where, "identify", (*task.table, *task.command), earlier)
         case Design():
             refer("design.model", task.model, Identify, "an earlier identify step")
+        case Ambient():
+            for key, names in (("test", task.test), ("before", task.before or ())):
+                for name in names:
+                    expected = "an earlier test without excitation and controller"
+                    refer(
+                        f"ambient.{key}", name, RigTest, expected, lambda test: not (test.excitation or test.controller)
+                    )
+            _check_braces(where, "ambient", (*task.test, *(task.before or ())), earlier)
         case Validate():
             test = refer("validate.test", task.test, RigTest, "an earlier test")
-            refer("validate.model", task.model, Identify, "an earlier identify step")
+            model = refer("validate.model", task.model, Identify, "an earlier identify step")
+            _check_braces(where, "validate", (task.test, *model.table), earlier)
             if task.controller != test.controller:
                 runs = f"{test.controller!r}, which test {task.test} runs" if test.controller else "none"
                 raise AbraceError(f"{where}: validate.controller: {task.controller!r}, expected {runs}")
@@ -309,8 +345,21 @@ def _check_references(where: str, task: Task, earlier: dict[str, Task]) -> None:
                     lambda other: (
                         _moves_table_alone(other)
                         and (other.ground_motion, other.duration) == (test.ground_motion, test.duration)
+                        and other.disconnected_braces == test.disconnected_braces
                     ),
                 )
+
+
+def _check_braces(where: str, key: str, names: tuple[str, ...], earlier: dict[str, Task]) -> None:
+    """Tests that are used together have the same braces connected."""
+    tests = {name: task for name, task in earlier.items() if name in names and isinstance(task, RigTest)}
+    first = tests[names[0]].disconnected_braces
+    for name, test in tests.items():
+        if test.disconnected_braces != first:
+            raise AbraceError(
+                f"{where}: {key}: {name} has brace groups {list(test.disconnected_braces)} disconnected, expected "
+                f"{list(first)} as {names[0]}"
+            )
 
 
 def _moves_table_alone(test: RigTest) -> bool:

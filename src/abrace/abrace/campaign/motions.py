@@ -1,4 +1,4 @@
-"""The ground motions of a campaign, checked against the table before its first test."""
+"""What the tests of a campaign ask of the rig, checked before the first one: of its table, and of its braces."""
 
 from __future__ import annotations
 
@@ -43,3 +43,23 @@ def check_motions(campaign: Campaign, rig: Rig) -> None:
         except AbraceError as error:
             raise AbraceError(f"step {step.name}: {error}") from error
         checked.append((test.ground_motion, test.duration))
+
+
+def check_braces(campaign: Campaign, rig: Rig) -> None:
+    """Refuse a campaign with a test that disconnects braces which the `rig` has not, or drives none.
+
+    Raises
+    ------
+    AbraceError
+        Naming the step and what was expected.
+    """
+    for step in campaign.steps:
+        test = step.task
+        if not isinstance(test, RigTest):
+            continue
+        try:
+            left = rig.disconnect(test.disconnected_braces)
+        except AbraceError as error:
+            raise AbraceError(f"step {step.name}: test.disconnected_braces: {error}") from error
+        if (test.excitation or test.controller) and not any(group.connected for group in left.braces):
+            raise AbraceError(f"step {step.name}: commands to braces of which none is connected, expected one at least")

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from abrace.campaign.file import (
     CONTROLLER_FILE,
+    Ambient,
     Campaign,
     Design,
     Identify,
@@ -26,7 +27,7 @@ from abrace.campaign.file import (
     Validate,
     load_campaign,
 )
-from abrace.campaign.motions import as_given, check_motions
+from abrace.campaign.motions import as_given, check_braces, check_motions
 from abrace.campaign.poles import compare_poles
 from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
 from abrace.processes.group import ProcessGroup, find_executable
@@ -156,6 +157,8 @@ class _Runner:
         }
         loop = {"thread_priority": self.campaign.thread_priority} if self.campaign.thread_priority else {}
         rig = {"rig": str(self.rig_file), "duration": duration, "autostart": False, **loop}
+        if test.disconnected_braces:
+            rig["disconnected_braces"] = list(test.disconnected_braces)
         if lockstep:
             rig |= {"lockstep": True, "wait_for": list(inputs)}
         samples = round(duration * rate)
@@ -237,7 +240,7 @@ class _Runner:
                         "servo_lag": lag,
                     },
                 )
-                compare_poles(self.results, name, self.rig, self.campaign.simulated)
+                compare_poles(self.results, name, self.rig_of(table[0]), self.campaign.simulated)
             case Design(model=model, weights=weights):
                 self.run_offline(
                     name,
@@ -247,7 +250,7 @@ class _Runner:
                         "model": str(self.design_model(task)),
                         "check_models": [
                             *(str(self.results / model / name) for name in CHECKS),
-                            *([str(self.rig_model())] if self.campaign.simulated else []),
+                            *([str(self.rig_model(model))] if self.campaign.simulated else []),
                         ],
                         "weights": weights,
                         "sample_period": 1 / self.rig.sample_rate,
@@ -268,12 +271,25 @@ class _Runner:
                 if controller is not None:
                     parameters["controller"] = str(self.controller_file(controller))
                 self.run_offline(name, "abrace_sysid", "validate", parameters)
+            case Ambient(test=tests, before=before, band=band):
+                given: dict[str, Any] = {"bag": [str(self.bags / test) for test in tests], "band": list(band)}
+                if before is not None:
+                    given["before"] = [str(self.bags / test) for test in before]
+                self.run_offline(name, "abrace_sysid", "ambient", {**given, "output": str(output)})
         return {}
 
-    def rig_model(self) -> Path:
-        """The rig's own model, which a simulated rig has, as a file."""
-        path = self.results / "rig.json"
-        save_model(self.rig.model, path)
+    def rig_of(self, test: str) -> Rig:
+        """The rig as it was in a test."""
+        (task,) = (step.task for step in self.campaign.steps if step.name == test)
+        assert isinstance(task, RigTest)
+        return self.rig.disconnect(task.disconnected_braces)
+
+    def rig_model(self, model: str) -> Path:
+        """The model that a simulated rig itself had in the tests of an identify step, as a file."""
+        (task,) = (step.task for step in self.campaign.steps if step.name == model)
+        assert isinstance(task, Identify)
+        path = self.results / f"rig_{model}.json"
+        save_model(self.rig_of(task.table[0]).model, path)
         return path
 
     def facts(self, name: str, test: RigTest, seed: int) -> dict[str, str]:
@@ -290,6 +306,8 @@ class _Runner:
         }
         if self.campaign.simulated:
             facts["sensor_seed"] = str(seed)
+        if test.disconnected_braces:
+            facts["disconnected_braces"] = json.dumps(test.disconnected_braces)
         if self.device_file is not None:
             facts["device"] = str(self.device_file)
         if test.controller:
@@ -347,6 +365,7 @@ def run_campaign(path: Path) -> Path:
         device_file = find_file(campaign.device, "abrace_plant", "config/devices", ".yaml", "device").resolve()
         load_device(device_file, rig)
     check_motions(campaign, rig)
+    check_braces(campaign, rig)
     results = Path("results") / campaign.name
     bags = Path("bags") / campaign.name / datetime.now().strftime("%Y%m%d-%H%M%S")
     shutil.rmtree(results, ignore_errors=True)

@@ -1,7 +1,7 @@
 """The files of results that a report is made from; each is a JSON object with these keys and no others.
 
-A campaign always writes timing.json; poles.json where it has an identify step; and each validate step has a
-comparison.json in a folder of its name.
+A campaign always writes timing.json; poles.json where it has an identify step; each validate step has a
+comparison.json in a folder of its name, each ambient step the ambient.json of the node `ambient`.
 
 poles.json, from an identify step; frequencies [rad/s], slowest first; `true` is [] where nobody knows the rig's own::
 
@@ -129,6 +129,41 @@ class Comparison(Prediction):
         return is_its_motion and facts.controller == "lqg3" and set(TABLE_1_EXPERIMENT) <= set(self.measured)
 
 
+class AmbientMode(pydantic.BaseModel):
+    """A mode found without a drive: frequency [rad/s], damping ratio, their standard deviations."""
+
+    frequency: Positive
+    damping_ratio: float
+    frequency_deviation: NonNegative
+    damping_ratio_deviation: NonNegative
+
+
+class ModeChange(pydantic.BaseModel):
+    """A mode [rad/s] before and after, relative changes, and the probability that chance makes one as large."""
+
+    before: Positive
+    after: Positive
+    frequency_change: float
+    damping_change: float
+    probability: Annotated[float, pydantic.Field(ge=0, le=1)]
+
+
+class BuildingChange(pydantic.BaseModel):
+    """What has changed since an earlier ambient test."""
+
+    changed: bool
+    modes: tuple[ModeChange, ...]
+
+
+class AmbientResult(pydantic.BaseModel):
+    """ambient.json, as far as the report has it."""
+
+    seconds: Positive
+    channels: tuple[str, ...]
+    modes: tuple[AmbientMode, ...]
+    change: BuildingChange | None = None
+
+
 class StepTiming(Checked):
     """How long a step took."""
 
@@ -150,11 +185,12 @@ class Timing(Checked):
 
 @dataclass(frozen=True)
 class Results:
-    """What a campaign measured: comparisons by step, in their order; no poles where no step identified any."""
+    """What a campaign measured: comparisons and ambient tests by step, in order; no poles where no step has any."""
 
     poles: AllPoles | None
     comparisons: dict[str, Comparison]
     timing: Timing
+    ambient: dict[str, AmbientResult]
 
     @property
     def main(self) -> Comparison | None:
@@ -163,7 +199,7 @@ class Results:
         return next((one for one in comparisons if one.is_the_papers), comparisons[0] if comparisons else None)
 
 
-Content = TypeVar("Content", bound=Checked)
+Content = TypeVar("Content", bound=pydantic.BaseModel)
 
 
 def read_results(directory: Path | str) -> Results:
@@ -179,11 +215,16 @@ def read_results(directory: Path | str) -> Results:
         raise AbraceError(f"results directory {directory}: expected a directory that a campaign wrote")
     timing = _read(directory / "timing.json", Timing)
     poles = directory / "poles.json"
-    comparisons = {step.name: directory / step.name / "comparison.json" for step in timing.steps}
+
+    def of_steps(file: str, schema: type[Content]) -> dict[str, Content]:
+        paths = {step.name: directory / step.name / file for step in timing.steps}
+        return {step: _read(path, schema) for step, path in paths.items() if path.exists()}
+
     return Results(
         _read(poles, AllPoles) if poles.exists() else None,
-        {step: _read(path, Comparison) for step, path in comparisons.items() if path.exists()},
+        of_steps("comparison.json", Comparison),
         timing,
+        of_steps("ambient.json", AmbientResult),
     )
 
 

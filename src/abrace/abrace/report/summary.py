@@ -9,8 +9,9 @@ from abrace_core.response import TABLE_1_EXPERIMENT, PeakRms, mean_relative_erro
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    import pydantic
+
     from abrace.report.results import AllPoles, Cells, Comparison, Pole, Poles, Results, Timing
-    from abrace_core.config_file import Checked
 
 SAME_POLE = 0.05
 """Relative difference in frequency within which two poles count as the same."""
@@ -30,6 +31,8 @@ def summarise(results: Results) -> dict[str, Any]:
             }
             for test, poles in poles_by_test(results.poles)
         }
+    if results.ambient:
+        summary["ambient"] = _dumped(results.ambient)
     if results.main is not None:
         summary |= _comparison(results.main)
         summary["comparisons"] = {step: _comparison(one) for step, one in results.comparisons.items()}
@@ -54,7 +57,7 @@ def _comparison(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def _dumped(rows: Mapping[str, Checked]) -> dict[str, Any]:
+def _dumped(rows: Mapping[str, pydantic.BaseModel]) -> dict[str, Any]:
     return {name: row.model_dump() for name, row in rows.items()}
 
 

@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from abrace.report.results import Cells, Comparison, Facts, Pole, Poles, Prediction, Results, Timing
+from abrace.report.results import (
+    AmbientMode,
+    AmbientResult,
+    Cells,
+    Comparison,
+    Facts,
+    Pole,
+    Poles,
+    Prediction,
+    Results,
+    Timing,
+)
 from abrace.report.summary import error_vs_paper, nearest_pole, poles_by_test, timing_summary, worst_peak_rms_error
 from abrace.report.table import Table
 from abrace_core.response import (
@@ -16,6 +27,7 @@ from abrace_core.response import (
     paper_unit,
 )
 from abrace_plant.rig.published import PAPER_POLES
+from abrace_sysid.fitting.pole_estimate import NORMAL_95
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -28,6 +40,7 @@ def tables(results: Results) -> list[Table]:
     found = []
     if results.poles is not None:
         found += [_pole_table(test, poles) for test, poles in poles_by_test(results.poles)]
+    found += [_ambient_table(step, one) for step, one in results.ambient.items()]
     if results.main is not None:
         found.append(_table_1(results.main))
         if results.main.uncontrolled is not None:
@@ -64,6 +77,32 @@ def _pole_table(test: str, poles: Poles) -> Table:
         ("", "rad/s", *columns, "damping %", *columns),
         tuple((str(i + 1), *row(pole)) for i, pole in enumerate(ordered)),
     )
+
+
+def _ambient_table(step: str, found: AmbientResult) -> Table:
+    """Modes without a drive with 95 % intervals, and how they have changed."""
+    changes = {mode.after: mode for mode in found.change.modes} if found.change else {}
+
+    def row(mode: AmbientMode) -> tuple[str, ...]:
+        cells = (
+            f"{mode.frequency:.4f} +- {NORMAL_95 * mode.frequency_deviation:.4f}",
+            f"{100 * mode.damping_ratio:.3f} +- {100 * NORMAL_95 * mode.damping_ratio_deviation:.3f}",
+        )
+        if found.change is None:
+            return cells
+        change = changes.get(mode.frequency)
+        if change is None:
+            return (*cells, "not found before", "", "")
+        moved = (f"{100 * change.frequency_change:+.3f}", f"{100 * change.damping_change:+.1f}")
+        return (*cells, *moved, f"{change.probability:.2g}")
+
+    header: tuple[str, ...] = ("rad/s", "damping %")
+    notes: tuple[str, ...] = ()
+    if found.change is not None:
+        header += ("frequency, change %", "damping, change %", "by chance")
+        notes = ("The building has changed." if found.change.changed else "No change beyond chance.",)
+    title = f"Modes without a drive: {step}, {found.seconds:g} s of {', '.join(found.channels)}"
+    return Table(title, header, tuple(row(mode) for mode in found.modes), notes)
 
 
 def _table_1(comparison: Comparison) -> Table:
