@@ -80,6 +80,16 @@ def test_behind_a_device_without_the_emulator_nobody_knows_the_rig(tmp_path):
     assert (campaign.device, campaign.simulated, campaign.thread_priority) == ("own.yaml", False, 0)
 
 
+def test_a_design_step_hands_its_limits_and_what_it_accepts_to_the_node(tmp_path):
+    path = tmp_path / "campaign.yaml"
+    design = "design: {model: model, weights: lqg3, limits: {gain_margin: 8.0}, accept: [small_disk_margin]}"
+    path.write_text(DEMO.read_text().replace("design: {model: model, weights: lqg3}", design))
+    task = next(step.task for step in load_campaign(path).steps if isinstance(step.task, Design))
+    defaults = {"phase_margin": 30.0, "delay_margin": 0.004, "disk_margin": 0.3, "damping_kept": 0.8}
+    assert task.refusal == {"gain_margin": 8.0, **defaults, "accept": ["small_disk_margin"]}
+    assert Design(model="model", weights="lqg3").refusal == {"gain_margin": 6.0, **defaults}
+
+
 def test_a_campaign_that_nobody_has_is_named_with_those_that_there_are(capsys):
     assert main(["campaign", "six_controllers"]) == 2
     assert "campaign 'six_controllers': unknown, expected" in (said := capsys.readouterr().err)
@@ -243,6 +253,21 @@ MISTAKES = [
         "design: {model: model",
         "design: {model: lqg3",
         r"step lqg3: design.model: 'lqg3', expected an earlier identify step \(model\)",
+    ),
+    (
+        "weights: lqg3}",
+        "weights: lqg3, limits: {gain: 3.0}}",
+        "steps.3.design.limits.gain: unknown key",
+    ),
+    (
+        "weights: lqg3}",
+        "weights: lqg3, limits: {disk_margin: -1.0}}",
+        "steps.3.design.limits.disk_margin: -1.0, expected .*greater than or equal to 0",
+    ),
+    (
+        "weights: lqg3}",
+        "weights: lqg3, accept: [everything]}",
+        "steps.3.design.accept.0: 'everything', expected .*'small_gain_margin'",
     ),
     (
         "controller: lqg3\n",

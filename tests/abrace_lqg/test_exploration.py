@@ -201,10 +201,13 @@ def test_a_set_is_written_as_weights_and_as_the_controller_that_was_tried(outcom
     assert "not stable" in rows[24]["refused"]
     assert rows[24]["x1_rms"] == ""
 
-    _, files = write_set(tmp_path, 7)
-    assert load_weights(tmp_path / "set_7_weights.yaml") == outcomes[7].weights
-    controller = load_controller(tmp_path / "set_7.yaml")
-    again = design(storey(), outcomes[7].weights, PERIOD)
+    with pytest.raises(AbraceError, match="design refused: gain margin 5"):
+        write_set(tmp_path, 7)
+    assert [path.name for path in tmp_path.glob("set_7*")] == ["set_7_weights.yaml"], "for `design`, with its limits"
+    _, files = write_set(tmp_path, 6)
+    assert load_weights(tmp_path / "set_6_weights.yaml") == outcomes[6].weights
+    controller = load_controller(tmp_path / "set_6.yaml")
+    again = design(storey(), outcomes[6].weights, PERIOD)
     assert controller.law.a == pytest.approx(again.controller.a, rel=1e-12, abs=1e-15)
     assert controller.force_limit.tolist() == CAPACITY.tolist()
     assert all(path.is_file() for path in files)

@@ -20,13 +20,15 @@ from abrace_lqg.analysis.prediction import Excitation, predicted_rms, rms_withou
 from abrace_lqg.control_law import ControlLaw
 from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.loop import closed_loop, is_stable, sampled
-from abrace_lqg.proof.checks import OBJECTIONS, SHORT_DELAY, UNSTABLE, Proof, prove, require
+from abrace_lqg.proof.checks import Proof, prove, require
 from abrace_lqg.proof.figures import loop_figure
 from abrace_lqg.proof.files import load_models, save_proof
+from abrace_lqg.proof.limits import OBJECTIONS, WORDING, Limits
 from abrace_lqg.proof.table import table_lines
 from abrace_lqg.weights import Weights, load_weights
 from abrace_plant.rig.file import load_rig
 
+UNSTABLE, SHORT_DELAY = "unstable_with_check_model", "short_delay_margin"
 SOURCES = Path(__file__).parents[2] / "src"
 PERIOD = 0.002
 
@@ -231,9 +233,53 @@ def test_a_delay_margin_under_4_ms_is_refused_unless_accepted_by_name(
     edge = 10 ** (margins(rig_model, designed.controller).gain / 20)
     found = prove(louder(designed, 0.98 * edge), {"rig": rig_model})
     assert found.margins.delay < 0.004
-    with pytest.raises(AbraceError, match=r"delay margin \d.\d\d ms, expected at least 4 ms.*short_delay_margin"):
+    with pytest.raises(
+        AbraceError, match=r"delay margin \d.\d\d ms at U with rig, expected at least 4 ms.*short_delay"
+    ):
         require(found)
-    assert require(found, OBJECTIONS).accepted == (SHORT_DELAY,)
+    assert SHORT_DELAY in require(found, OBJECTIONS).accepted
+
+
+def test_a_small_margin_is_refused_by_default_with_all_names_that_are_to_be_accepted(
+    rig_model: LinearModel, designed: ControllerDesign
+):
+    edge = 10 ** (margins(rig_model, designed.controller).gain / 20)
+    found = prove(louder(designed, edge / 10 ** (1.4 / 20)), {"rig": rig_model})
+    assert found.margins.gain == pytest.approx(1.4, abs=1e-3)
+    with pytest.raises(AbraceError) as refusal:
+        require(found)
+    assert "gain margin 1.40 dB at U with rig, expected at least 6 dB; phase margin 1" in str(refusal.value)
+    names = ["small_gain_margin", "small_phase_margin", SHORT_DELAY, "small_disk_margin"]
+    assert str(refusal.value).endswith(f"(accept: [{', '.join(names)}] to have it all the same)")
+    assert require(found, names).accepted == tuple(names)
+
+
+@pytest.mark.parametrize("limit", list(WORDING))
+def test_each_limit_refuses_by_its_name_from_its_value_on(proof: Proof, limit: str):
+    disk = proof.models[0].disk
+    assert disk is not None
+    found = {
+        "gain_margin": proof.margins.gain,
+        "phase_margin": proof.margins.phase,
+        "delay_margin": proof.margins.delay,
+        "disk_margin": disk.alpha,
+        "damping_kept": proof.least_damping_kept,
+    }[limit]
+    assert require(replace(proof, limits=Limits(**{limit: 0.99 * found}))).accepted == ()
+    higher = replace(proof, limits=Limits(**{limit: 1.01 * found}))
+    with pytest.raises(
+        AbraceError, match=rf"{WORDING[limit].quantity} .*rig.*\(accept: \[{WORDING[limit].objection}\]"
+    ):
+        require(higher)
+    assert WORDING[limit].objection in require(higher, [WORDING[limit].objection]).summary()
+
+
+def test_the_damping_of_a_model_whose_loop_is_accepted_as_unstable_is_no_second_objection(
+    rig_model: LinearModel, turned: LinearModel, designed: ControllerDesign
+):
+    found = prove(designed, {"rig": rig_model, "turned": turned})
+    assert found.least_damping_kept < 0
+    assert list(found.objections()) == [UNSTABLE]
 
 
 def test_a_loop_that_is_unstable_with_its_own_model_is_not_proven(turned: LinearModel, designed: ControllerDesign):

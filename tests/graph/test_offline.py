@@ -100,6 +100,15 @@ def test_bags_become_a_model_the_model_a_controller_and_both_are_compared(bags, 
     )
     assert ended.returncode == 0, ended.stderr
     assert "gain margin" in ended.stdout
+
+    refused = tmp_path / "refused.yaml"
+    ended = run_node("abrace_lqg", "design", model=model / "reduced.json", disk_margin=0.5, output=refused)
+    assert ended.returncode == 2
+    assert "design refused: disk margin 0.3" in ended.stderr
+    assert "with reduced, expected at least 0.5 (accept: [small_disk_margin]" in ended.stderr
+    assert len(ended.stderr.splitlines()) == 1, ended.stderr
+    assert not list(tmp_path.glob("refused*"))
+
     law = load_controller(controller).law
     assert law.inputs == ("a1", "a2", "a3")
     assert law.sample_period == 0.002

@@ -10,6 +10,7 @@ import pydantic
 
 from abrace_core.config_file import Checked, read_config
 from abrace_core.errors import AbraceError
+from abrace_lqg.proof.limits import Limits, Objection
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -157,10 +158,20 @@ class Identify(Checked):
 
 
 class Design(Checked):
-    """A controller from a model, with weights that are a name or a file."""
+    """A controller from a model, with weights that are a name or a file.
+
+    limits: what it has to keep, the defaults where nothing is said; accept: objections in spite of which it is written.
+    """
 
     model: Text
     weights: Text
+    limits: Limits = Limits()
+    accept: tuple[Objection, ...] = ()
+
+    @property
+    def refusal(self) -> dict[str, object]:
+        """Parameters of the node `design`: limits, and the objections that are accepted, if any."""
+        return self.limits.model_dump() | ({"accept": list(self.accept)} if self.accept else {})
 
 
 class Ambient(Checked):

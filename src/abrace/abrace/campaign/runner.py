@@ -255,6 +255,7 @@ class _Runner:
                         "weights": weights,
                         "sample_period": 1 / self.rig.sample_rate,
                         "force_limit": limit,
+                        **task.refusal,
                         "output": str(self.controller_file(name)),
                     },
                 )

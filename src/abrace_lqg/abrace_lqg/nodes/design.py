@@ -5,11 +5,18 @@ from __future__ import annotations
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_lqg.analysis.prediction import Excitation
-from abrace_lqg.proof.checks import OBJECTIONS
 from abrace_lqg.proof.files import design_to_file
+from abrace_lqg.proof.limits import OBJECTIONS, Limits
 from abrace_lqg.proof.table import table_lines
 from abrace_lqg.weights import load_weights
 
+LIMITS = {
+    "gain_margin": "dB, least gain margin at each command; 0: no limit",
+    "phase_margin": "degrees, least phase margin at each command; 0: no limit",
+    "delay_margin": "s, least delay margin at each command; 0: no limit",
+    "disk_margin": "least disk margin of all commands and measured quantities at once; 0: no limit",
+    "damping_kept": "least share of its damping that each mode is left with; 0: no limit",
+}
 PARAMETERS = [
     Parameter("model", "", "model file (JSON) to design with", required=True),
     Parameter(
@@ -18,6 +25,7 @@ PARAMETERS = [
     Parameter("weights", "lqg3", "weights: a name in the package's configuration or a file", required=True),
     Parameter("sample_period", 0.002, "s, of the controller", minimum=1e-6),
     Parameter("force_limit", [24516.625], "N, of one brace of each group", minimum=1.0),
+    *(Parameter(name, getattr(Limits(), name), text, minimum=0.0) for name, text in LIMITS.items()),
     Parameter("accept", [], "objections in spite of which the controller is written", choices=OBJECTIONS, element=str),
     Parameter(
         "excitation_rms", 0.25, "m/s^2, rms of the ground acceleration for the predicted responses", minimum=1e-9
@@ -49,6 +57,7 @@ class Design(AbraceNode):
             sample_period=given.sample_period,
             force_limit=given.force_limit,
             excitation=Excitation(given.excitation_rms, tuple(given.excitation_band)),
+            limits=Limits(**{name: getattr(given, name) for name in LIMITS}),
             accept=given.accept,
         )
         print("\n".join(table_lines(proof)))

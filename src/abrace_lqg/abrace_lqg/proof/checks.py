@@ -7,7 +7,7 @@ effect of lost samples. A design with an objection is refused unless that object
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,19 +19,13 @@ from abrace_lqg.analysis.margins import Margins, margins_at
 from abrace_lqg.analysis.mode_damping import ModeEffect, mode_effects
 from abrace_lqg.analysis.prediction import Excitation, rms_without_and_with_control
 from abrace_lqg.loop import closed_loop_poles, is_stable
+from abrace_lqg.proof.limits import WORDING, Limits, Objection, shortfall
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
     from abrace_core.linear_model import LinearModel
     from abrace_lqg.design import ControllerDesign
-
-UNSTABLE, SHORT_DELAY = "unstable_with_check_model", "short_delay_margin"
-OBJECTIONS = (UNSTABLE, SHORT_DELAY)
-"""Names of the reasons for which a design is refused; each can be accepted by name."""
-
-SHORTEST_DELAY_MARGIN = 0.004
-"""Least delay margin at the plant's input [s]: two samples at 500 Hz."""
 
 LOST_IN_A_ROW = (1, 2)
 """Numbers of consecutive lost samples whose effect is computed."""
@@ -86,6 +80,8 @@ class Proof:
         Names of the commands: the plant's inputs.
     excitation
         For which rms values are predicted.
+    limits
+        What the controller has to keep.
     accepted
         Names of the objections that were accepted.
     """
@@ -93,7 +89,8 @@ class Proof:
     models: tuple[ModelProof, ...]
     commands: tuple[str, ...]
     excitation: Excitation
-    accepted: tuple[str, ...] = ()
+    limits: Limits = field(default_factory=Limits)
+    accepted: tuple[Objection, ...] = ()
 
     @property
     def margins(self) -> Margins:
@@ -105,21 +102,41 @@ class Proof:
         """Least `ModeEffect.damping_kept` of all pole pairs of all models; infinite if there is none."""
         return min((mode.damping_kept for each in self.models for mode in each.modes), default=np.inf)
 
-    def objections(self) -> dict[str, str]:
-        """The reasons against use, by their names in OBJECTIONS."""
-        found = {}
+    def objections(self) -> dict[Objection, str]:
+        """The reasons against use, by their names in `proof.limits.OBJECTIONS`."""
+        found: dict[Objection, str] = {}
         unstable = [f"{each.name} ({each.order} states)" for each in self.models if not each.stable]
         if unstable:
-            found[UNSTABLE] = f"the closed loop with {', '.join(unstable)} is not stable"
-        if self.margins.delay < SHORTEST_DELAY_MARGIN:
-            delay, least = 1e3 * self.margins.delay, 1e3 * SHORTEST_DELAY_MARGIN
-            found[SHORT_DELAY] = f"delay margin {delay:.2f} ms, expected at least {least:g} ms"
+            found["unstable_with_check_model"] = f"the closed loop with {', '.join(unstable)} is not stable"
+        for limit, asked in self.limits.model_dump().items():
+            value, where = min(self._measured(limit), default=(np.inf, ""))
+            if value < asked:
+                found[WORDING[limit].objection] = shortfall(limit, value, where, asked)
         return found
+
+    def _measured(self, limit: str) -> list[tuple[float, str]]:
+        """Each value that a field of `Limits` limits, and where it was found."""
+        stable = [each for each in self.models if each.stable]
+        if limit == "disk_margin":
+            return [(each.disk.alpha, f"with {each.name}") for each in stable if each.disk is not None]
+        if limit == "damping_kept":
+            return [
+                (mode.damping_kept, f"by the mode at {mode.frequency:.1f} rad/s with {each.name}")
+                for each in stable
+                for mode in each.modes
+            ]
+        quantity = limit.removesuffix("_margin")
+        return [
+            (getattr(each.margins[name], quantity), f"at {name} with {each.name}")
+            for each in stable
+            for name in self.commands
+        ]
 
     def summary(self) -> str:
         """One line for the controller file."""
         models = sum(each.stable for each in self.models)
-        text = f"{self.margins}" + (f", the least of {models} models" if models > 1 else "")
+        disk = min(each.disk.alpha for each in self.models if each.disk is not None)
+        text = f"{self.margins}, disk margin {disk:.2f}" + (f", the least of {models} models" if models > 1 else "")
         least = self.least_damping_kept
         kept = f"; damping kept by every mode: {least:.0%} or more" if np.isfinite(least) else ""
         reasons = self.objections()
@@ -127,7 +144,12 @@ class Proof:
         return text + kept + accepted
 
 
-def prove(designed: ControllerDesign, models: Mapping[str, LinearModel], excitation: Excitation | None = None) -> Proof:
+def prove(
+    designed: ControllerDesign,
+    models: Mapping[str, LinearModel],
+    excitation: Excitation | None = None,
+    limits: Limits | None = None,
+) -> Proof:
     """Analyse the closed loop of a designed controller with each model.
 
     Parameters
@@ -138,6 +160,8 @@ def prove(designed: ControllerDesign, models: Mapping[str, LinearModel], excitat
         By name: first the model that it was designed with, then the check models.
     excitation
         For which rms values are predicted; None: `Excitation()`.
+    limits
+        What the controller has to keep; None: `Limits()`.
 
     Raises
     ------
@@ -154,7 +178,7 @@ def prove(designed: ControllerDesign, models: Mapping[str, LinearModel], excitat
             raise AbraceError(f"proof with model {name}: {error}") from error
     if not proofs[0].stable:
         raise AbraceError(f"proof: the closed loop with {proofs[0].name}, the design's own model, is not stable")
-    return Proof(tuple(proofs), designed.controller.outputs, excitation)
+    return Proof(tuple(proofs), designed.controller.outputs, excitation, limits or Limits())
 
 
 def require(proof: Proof, accept: Collection[str] = ()) -> Proof:
@@ -165,17 +189,19 @@ def require(proof: Proof, accept: Collection[str] = ()) -> Proof:
     proof
         Of the design.
     accept
-        Names out of OBJECTIONS.
+        Names out of `proof.limits.OBJECTIONS`.
 
     Raises
     ------
     AbraceError
-        With the first objection that is not accepted, and the name by which it can be.
+        With each objection that is not accepted, and the names by which they can be.
     """
     found = proof.objections()
-    for name, reason in found.items():
-        if name not in accept:
-            raise AbraceError(f"design refused: {reason} (accept: [{name}] to have it all the same)")
+    refused = {name: reason for name, reason in found.items() if name not in accept}
+    if refused:
+        raise AbraceError(
+            f"design refused: {'; '.join(refused.values())} (accept: [{', '.join(refused)}] to have it all the same)"
+        )
     return replace(proof, accepted=tuple(found))
 
 

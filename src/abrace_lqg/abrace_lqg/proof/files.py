@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from abrace_core.linear_model import LinearModel
     from abrace_lqg.analysis.prediction import Excitation
     from abrace_lqg.proof.checks import ModelProof, Proof
+    from abrace_lqg.proof.limits import Limits
     from abrace_lqg.weights import Weights
 
 FILE_FORMAT = "abrace proof 1"
@@ -39,6 +40,7 @@ def design_to_file(
     sample_period: float,
     force_limit: Sequence[float],
     excitation: Excitation | None = None,
+    limits: Limits | None = None,
     accept: Sequence[str] = (),
 ) -> tuple[Proof, Controller, list[Path]]:
     """Design a controller, prove it, and write it with its proof; nothing is written if the design is refused.
@@ -57,6 +59,8 @@ def design_to_file(
         (commands,) [N].
     excitation
         For which rms values are predicted; None: `Excitation()`.
+    limits
+        What the controller has to keep; None: `Limits()`.
     accept
         Names of objections in spite of which the controller is written.
 
@@ -68,7 +72,7 @@ def design_to_file(
     models = load_models(model_files)
     model = next(iter(models.values()))
     designed = design(model, weights, sample_period)
-    proof = require(prove(designed, models, excitation), accept)
+    proof = require(prove(designed, models, excitation, limits), accept)
     bags = ", ".join(map(str, model.provenance.get("bags", {}).values())) or "unknown bags"
     controller = Controller(
         name=Path(output).stem,
@@ -161,6 +165,7 @@ def _proof_json(proof: Proof) -> str:
     content = {
         "format": FILE_FORMAT,
         "summary": proof.summary(),
+        "limits": proof.limits.model_dump(),
         "accepted": proof.accepted,
         "excitation": asdict(proof.excitation),
         "margins": asdict(proof.margins),
