@@ -94,3 +94,17 @@ def test_gain_and_phase_of_the_disk_are_those_of_the_paper():
 def test_the_disk_margin_of_an_unstable_loop_is_refused():
     with pytest.raises(AbraceError, match="not stable"):
         disk_margin(plant(), law(first=30.0))
+
+
+@pytest.mark.parametrize(("signals", "loosest"), [(2, 1.001), (4, 1.03), (8, 1.03)])
+def test_the_bound_is_that_of_slicot_in_any_units(signals: int, loosest: float):
+    """AB13MD, Young's bound by another algorithm: one matrix at a time, and not with a sourced ROS 2's NumPy."""
+    ctrlsys = pytest.importorskip("ctrlsys", reason="ctrlsys needs NumPy 2")
+    matrix = complex_matrices(50, signals)
+    blocks, kinds = np.ones(signals, dtype=np.int32), np.full(signals, 2, dtype=np.int32)
+    expected = np.array([ctrlsys.ab13md(np.asfortranarray(one), blocks, kinds)[0] for one in matrix])
+    units = np.geomspace(1e-3, 1e3, signals)
+    ratio = structured_bound(matrix * units[:, None] / units, DESCENT_STEPS) / expected
+    assert ratio.min() > 1 - 1e-4
+    assert ratio.max() < loosest
+    assert np.median(ratio) < 1.001

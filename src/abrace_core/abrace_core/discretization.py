@@ -13,7 +13,7 @@ from scipy import linalg
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel
+from abrace_core.linear_model import LinearModel, takes_models
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,6 +27,7 @@ HOLDS: Mapping[str, Hold] = {signals.GROUND: "first"}
 """Of the rig's inputs; those not named are held."""
 
 
+@takes_models
 def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hold] = HOLDS) -> LinearModel:
     """The exact discrete equivalent of a continuous model, input delays included.
 

@@ -6,10 +6,12 @@ provenance, and converts to python-control's StateSpace and to MATLAB.
 
 from __future__ import annotations
 
+import functools
 import json
+import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 from scipy import linalg
@@ -18,7 +20,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     import control
     from numpy.typing import ArrayLike, NDArray
@@ -136,13 +138,68 @@ class LinearModel:
         return names.index(name)
 
     def to_control(self) -> control.StateSpace:
-        """The model as python-control's StateSpace (which has no delays: a model with delays is refused)."""
-        import control
+        """The model as python-control's StateSpace, its signals by their names.
+
+        Raises
+        ------
+        AbraceError
+            If python-control is not installed, or the model has delays, which a StateSpace has not.
+        """
+        try:
+            import control
+        except ImportError as error:
+            raise AbraceError("python-control is not installed, expected the package control (pip)") from error
 
         if any(self.input_delay):
-            raise AbraceError("model has input delays, which python-control's StateSpace cannot hold")
+            raise AbraceError(
+                "model has input delays, which python-control's StateSpace cannot hold: "
+                "sample it (abrace_core.discretization.discretize), its delays become states"
+            )
         dt = self.sample_period or 0
         return control.ss(self.a, self.b, self.c, self.d, dt, inputs=list(self.inputs), outputs=list(self.outputs))
+
+    @classmethod
+    def from_control(cls, system: control.StateSpace) -> LinearModel:
+        """The model that a `system` of python-control, a StateSpace, holds in SI units, its signals by their labels.
+
+        Raises
+        ------
+        AbraceError
+            If its sample time is not specified, or a matrix has a value that is not finite.
+        """
+        if system.dt is None or system.dt is True:
+            raise AbraceError(
+                f"python-control's system {system.name}: dt {system.dt}, expected 0 (continuous) or a sample period [s]"
+            )
+        a, b, c, d = (np.array(matrix, dtype=np.float64) for matrix in (system.A, system.B, system.C, system.D))
+        inputs, outputs = tuple(system.input_labels), tuple(system.output_labels)
+        provenance = {"method": "python-control", "system": system.name}
+        return cls(a, b, c, d, inputs, outputs, float(system.dt), provenance=provenance)
+
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+def takes_models(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Let a `function` of models be given python-control's StateSpaces too, alone or as values of a mapping.
+
+    The one place where they are converted. Where python-control was not imported, nothing can be one of its systems.
+    """
+
+    @functools.wraps(function)
+    def with_models(*args: Any, **kwargs: Any) -> Result:
+        if "control" in sys.modules:
+            args, kwargs = tuple(map(_converted, args)), {name: _converted(value) for name, value in kwargs.items()}
+        return function(*args, **kwargs)
+
+    return with_models
+
+
+def _converted(value: Any) -> Any:
+    if isinstance(value, sys.modules["control"].StateSpace):
+        return LinearModel.from_control(value)
+    return {name: _converted(each) for name, each in value.items()} if type(value) is dict else value
 
 
 def pole_table(poles: NDArray[np.complex128]) -> list[tuple[float, float]]:
@@ -156,6 +213,7 @@ def pole_table(poles: NDArray[np.complex128]) -> list[tuple[float, float]]:
     return [(float(abs(p)), float(-p.real / abs(p))) for p in upper]
 
 
+@takes_models
 def save_model(model: LinearModel, path: Path | str) -> None:
     """Write the model to a JSON file, atomically."""
     content = {
@@ -204,6 +262,7 @@ def load_model(path: Path | str) -> LinearModel:
         raise AbraceError(f"model file {path}: {error}") from error
 
 
+@takes_models
 def export_mat(model: LinearModel, path: Path | str) -> None:
     """Write the model's matrices, names and delays to a MATLAB `.mat` file, atomically."""
     from scipy.io import savemat

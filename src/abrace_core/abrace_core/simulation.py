@@ -19,7 +19,7 @@ import numpy as np
 
 from abrace_core.compiled import compiled
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel
+from abrace_core.linear_model import LinearModel, takes_models
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,6 +38,7 @@ LARGEST_GROWTH = 100.0
 cancels, at the cost of as many digits as this factor has."""
 
 
+@takes_models
 def simulate(
     model: LinearModel, inputs: NDArray[np.float64], initial: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
@@ -80,6 +81,7 @@ def simulate(
     return maps.samples(blocks @ maps.outputs.T, len(inputs))
 
 
+@takes_models
 def simulate_closed_loop(
     model: LinearModel,
     controller: LinearModel,

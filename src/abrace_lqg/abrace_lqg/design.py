@@ -21,7 +21,7 @@ from scipy import linalg
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel
+from abrace_core.linear_model import LinearModel, takes_models
 from abrace_lqg.loop import is_stable
 from abrace_lqg.riccati import kalman, regulator
 
@@ -65,6 +65,7 @@ class ControllerDesign:
     weights: Weights
 
 
+@takes_models
 def design(model: LinearModel, weights: Weights, sample_period: float) -> ControllerDesign:
     """Design the controller of Eqs. (11) to (13).
 
@@ -131,6 +132,7 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
     return ControllerDesign(controller, correction, prediction, continuous, plant, gain, injection, weights)
 
 
+@takes_models
 def delayed(model: LinearModel, sample_period: float) -> LinearModel:
     """The model with each command delayed by 1.5 sample periods and its input delay, by Pade's approximation (2, 2).
 
@@ -157,6 +159,7 @@ def delayed(model: LinearModel, sample_period: float) -> LinearModel:
     return LinearModel(a, b, c, d, model.inputs, model.outputs, provenance=model.provenance)
 
 
+@takes_models
 def balanced(model: LinearModel) -> LinearModel:
     """The same model with its states scaled (by powers of two) so that A's rows and columns have similar norms.
 
@@ -166,6 +169,7 @@ def balanced(model: LinearModel) -> LinearModel:
     return replace(model, a=model.a * scale / scale[:, None], b=model.b / scale[:, None], c=model.c * scale)
 
 
+@takes_models
 def observer(
     measured: LinearModel, filter_gain: NDArray[np.float64], sample_period: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -199,6 +203,7 @@ def observer(
     return correction, np.hstack([from_state, d + half * from_state @ b])
 
 
+@takes_models
 def tustin(model: LinearModel, sample_period: float) -> LinearModel:
     """The bilinear transformation of a continuous `model` to one of `sample_period` [s]: Eq. (12) to Eq. (13)."""
     half = model.a * (sample_period / 2)

@@ -16,7 +16,7 @@ import numpy as np
 
 from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel, pole_table
+from abrace_core.linear_model import LinearModel, pole_table, takes_models
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,6 +33,7 @@ NEGLIGIBLE_POLE = 1e-4
 """|z| of a pole that decays within one sample, as those of a delay do: it is not counted as an oscillation."""
 
 
+@takes_models
 def sampled(model: LinearModel, sample_period: float) -> LinearModel:
     """The `model` at `sample_period` [s]: commands held, ground motion linear in between; a discrete one as it is."""
     if not model.sample_period:
@@ -42,6 +43,7 @@ def sampled(model: LinearModel, sample_period: float) -> LinearModel:
     return model
 
 
+@takes_models
 def closed_loop(model: LinearModel, controller: LinearModel) -> LinearModel:
     """The discrete loop from the remaining inputs (the ground acceleration) to the outputs and the commands.
 
@@ -77,11 +79,46 @@ def closed_loop(model: LinearModel, controller: LinearModel) -> LinearModel:
     return LinearModel(a, b, c, d, external, plant.outputs + controller.outputs, controller.sample_period)
 
 
+@takes_models
+def open_loop(model: LinearModel, controller: LinearModel, broken_at: str) -> LinearModel:
+    """The discrete loop broken at one signal, the others closed, as a model: L of `Loop.transfer_function`.
+
+    For python-control's Bode, Nyquist and Nichols plots: `open_loop(model, controller, "U").to_control()`.
+
+    Parameters
+    ----------
+    model, controller
+        As in `closed_loop`.
+    broken_at
+        A command or a measured quantity: its name is that of the input, and of the output, which is turned in sign so
+        that the loop is on the edge of stability where L = -1.
+    """
+    plant = sampled(model, controller.sample_period)
+    signals = (*controller.outputs, *controller.inputs)
+    if broken_at not in signals:
+        raise AbraceError(f"loop broken at {broken_at!r}: expected one of {', '.join(signals)}")
+    whole = closed_loop(plant, controller)
+    a, b = whole.a.copy(), np.zeros((whole.order, 1))
+    if broken_at in controller.outputs:
+        # what the controller asks for is the output, what is in force one sample later the input
+        row = plant.order + controller.outputs.index(broken_at)
+        returned = a[row].copy()
+        a[row], b[row] = 0.0, 1.0
+    else:
+        returned = whole.c[whole.outputs.index(broken_at)]
+        column = controller.inputs.index(broken_at)
+        b[plant.order :, 0] = np.concatenate([controller.d[:, column], controller.b[:, column]])
+        a -= b @ returned[None]
+    return LinearModel(a, b, -returned[None], np.zeros((1, 1)), (broken_at,), (broken_at,), whole.sample_period)
+
+
+@takes_models
 def closed_loop_poles(model: LinearModel, controller: LinearModel) -> list[tuple[float, float]]:
     """(frequency [rad/s], damping ratio) of the oscillating poles, slowest first; arguments as in `closed_loop`."""
     return _oscillations(eigenvalues(closed_loop(model, controller).a), controller.sample_period)
 
 
+@takes_models
 def is_stable(model: LinearModel, controller: LinearModel) -> bool:
     """Whether the closed loop is stable; arguments as in `closed_loop`."""
     return bool(np.abs(eigenvalues(closed_loop(model, controller).a)).max() < 1)
@@ -103,6 +140,7 @@ class Loop:
         Whether the closed loop is stable.
     """
 
+    @takes_models
     def __init__(self, model: LinearModel, controller: LinearModel) -> None:
         whole = sampled(model, controller.sample_period)
         plant = whole.select(controller.inputs, controller.outputs)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import takes_models
 from abrace_lqg.loop import Loop
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ class DiskMargin:
         )
 
 
+@takes_models
 def disk_margin(model: LinearModel, controller: LinearModel) -> DiskMargin:
     """The disk margin of all commands and all measured quantities at once.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.linear_model import LinearModel
+from abrace_core.linear_model import LinearModel, takes_models
 from abrace_lqg.analysis.prediction import output_amplitudes
 from abrace_lqg.loop import sampled
 
@@ -54,6 +54,7 @@ class LostSamples:
         return f"{self.in_a_row} lost in a row: {rhythm}, once: command off by {self.command_deviation:.1%} of its rms"
 
 
+@takes_models
 def lost_samples(
     model: LinearModel,
     controller: LinearModel,

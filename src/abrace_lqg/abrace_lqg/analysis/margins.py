@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import takes_models
 from abrace_lqg.loop import Loop
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ class Margins:
         )
 
 
+@takes_models
 def margins(model: LinearModel, controller: LinearModel) -> Margins:
     """The margins of a stable loop at the plant's input.
 
@@ -87,6 +89,7 @@ def margins(model: LinearModel, controller: LinearModel) -> Margins:
     return Margins.least(list(margins_at(model, controller, controller.outputs).values()))
 
 
+@takes_models
 def margins_at(
     model: LinearModel, controller: LinearModel, broken_at: Sequence[str] | None = None
 ) -> dict[str, Margins]:

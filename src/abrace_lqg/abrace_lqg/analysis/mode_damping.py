@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from abrace_core.linear_model import takes_models
 from abrace_lqg.loop import NEGLIGIBLE_POLE, closed_loop, eigenvalues, sampled
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ class ModeEffect:
         return self.controlled_damping / self.damping
 
 
+@takes_models
 def mode_effects(model: LinearModel, controller: LinearModel, design_model: LinearModel) -> list[ModeEffect]:
     """Frequency and damping of each oscillating pole pair of a model without and with control, slowest first.
 

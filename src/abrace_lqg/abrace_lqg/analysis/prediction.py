@@ -14,6 +14,7 @@ import numpy as np
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import takes_models
 from abrace_lqg.loop import LOWEST_FREQUENCY, closed_loop, eigenvalues, frequency_grid, sampled
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ class Excitation:
         return f"ground acceleration of {self.rms:g} m/s^2 rms, flat from {self.band[0]:g} to {self.band[1]:g} Hz"
 
 
+@takes_models
 def output_amplitudes(model: LinearModel, excitation: Excitation) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """Amplitude of each output at frequencies over the band of the excitation.
 
@@ -93,6 +95,7 @@ def output_amplitudes(model: LinearModel, excitation: Excitation) -> tuple[NDArr
     return omega, response * (excitation.rms * np.sqrt(share))[:, None]
 
 
+@takes_models
 def predicted_rms(model: LinearModel, controller: LinearModel | None, excitation: Excitation) -> dict[str, float]:
     """Rms of each output, and of each command, by name [SI units].
 
@@ -112,6 +115,7 @@ def predicted_rms(model: LinearModel, controller: LinearModel | None, excitation
     return {name: 0.0 for name in model.inputs if name != signals.GROUND} | found
 
 
+@takes_models
 def rms_without_and_with_control(
     model: LinearModel, controller: LinearModel, excitation: Excitation
 ) -> dict[str, tuple[float, float]]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
-from abrace_core.linear_model import save_model
+from abrace_core.linear_model import save_model, takes_models
 from abrace_lqg.proof.files import design_to_file, finite_or_null
 from abrace_lqg.weights import Weights, save_weights
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 FILE_FORMAT = "abrace exploration 1"
 
 
+@takes_models
 def save_exploration(
     folder: Path | str,
     study: Study,

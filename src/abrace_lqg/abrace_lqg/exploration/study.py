@@ -14,6 +14,7 @@ import numpy as np
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import takes_models
 from abrace_core.response import PeakRms, peak_rms_of
 from abrace_core.simulation import simulate, simulate_closed_loop
 from abrace_lqg.analysis.margins import Margins, margins
@@ -55,6 +56,7 @@ class Study:
     capacity: NDArray[np.float64]
 
     @classmethod
+    @takes_models
     def of(
         cls,
         model: LinearModel,

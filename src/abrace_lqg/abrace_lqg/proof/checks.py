@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import takes_models
 from abrace_lqg.analysis.disk_margin import DiskMargin, disk_margin
 from abrace_lqg.analysis.lost_samples import LostSamples, lost_samples
 from abrace_lqg.analysis.margins import Margins, margins_at
@@ -144,6 +145,7 @@ class Proof:
         return text + kept + accepted
 
 
+@takes_models
 def prove(
     designed: ControllerDesign,
     models: Mapping[str, LinearModel],

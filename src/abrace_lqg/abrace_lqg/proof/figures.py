@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
+from abrace_core.linear_model import takes_models
 from abrace_core.response import paper_unit
 from abrace_lqg.loop import Loop
 
@@ -33,6 +34,7 @@ LINE_STYLES = ("-", "--", ":", "-.")
 """Of the signals, or of the models, in turn."""
 
 
+@takes_models
 def loop_figure(proof: Proof, models: Mapping[str, LinearModel], controller: LinearModel) -> Figure:
     """Nichols chart and gain of the loop broken at each command, and the sensitivity at every signal.
 

@@ -13,7 +13,7 @@ from abrace_core.controller_file import Controller, save_controller
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
-from abrace_core.linear_model import load_model
+from abrace_core.linear_model import load_model, takes_models
 from abrace_lqg.design import design
 from abrace_lqg.proof.checks import prove, require
 from abrace_lqg.proof.figures import loop_figure, pole_figure, prediction_figure
@@ -110,6 +110,7 @@ def load_models(paths: Sequence[str]) -> dict[str, LinearModel]:
     return {name: load_model(path) for name, path in zip(names, paths, strict=True)}
 
 
+@takes_models
 def save_proof(
     proof: Proof, models: Mapping[str, LinearModel], controller: LinearModel, controller_file: Path | str
 ) -> list[Path]:
