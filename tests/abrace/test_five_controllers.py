@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from identification_speed import write_bag
 from laboratory import Laboratory
 from scipy import linalg
 
@@ -226,6 +227,39 @@ def test_the_search_goes_on_from_its_start_to_a_smaller_criterion(
 
     assert not np.allclose(found, fit_weights.START), "expected a step from the start"
     assert error(found) < 0.05, "expected weights near LQG3's"
+
+
+def test_the_script_runs_from_two_bags_to_the_weights_of_all_five(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    fit_weights: ModuleType,
+    rig: Rig,
+):
+    """With a shorter search, shorter tests and one other seed: every call of it."""
+    for name, value in {"SEARCHES": 1, "EVALUATIONS": 8, "TEST_LENGTH": 60.0, "OTHER_SEEDS": (72,)}.items():
+        monkeypatch.setattr(fit_weights, name, value)
+    laboratory = Laboratory(rig, SEED)
+    bags = [tmp_path / "table", tmp_path / "command"]
+    for bag, test in zip(bags, (laboratory.table_test(60), laboratory.command_test(60)), strict=True):
+        write_bag(bag, test, rig.name)
+    monkeypatch.setattr("sys.argv", ["fit_weights.py", *map(str, bags)])
+    fit_weights.main()
+    said = capsys.readouterr().out
+    for name in NAMES:
+        assert f"\n{name}: displacement " in said
+    for title in ("consistent model", "superposed model", "other tests 1", "the rig"):
+        assert said.count(f"  {title}: mean error 0.") == len(NAMES), title
+    assert "damping kept" in said
+
+
+def test_the_script_asks_for_two_bags_or_none(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], fit_weights: ModuleType
+):
+    monkeypatch.setattr("sys.argv", ["fit_weights.py", "one"])
+    with pytest.raises(SystemExit, match="2"):
+        fit_weights.main()
+    assert "1 bags, expected a table test and a command test, or none" in capsys.readouterr().err
 
 
 def test_the_gain_margin_is_where_the_rig_becomes_unstable(rig: Rig, designs: Designs):

@@ -1,0 +1,92 @@
+"""What intervals, orders and pooled poles promise, on data enough to tell: each fails if its rule is weakened."""
+
+import numpy as np
+import pytest
+
+from abrace_core.discretization import discretize
+from abrace_core.linear_model import LinearModel
+from abrace_sysid.fitting.maximum_likelihood import fit_poles
+from abrace_sysid.fitting.observation import Observation
+from abrace_sysid.fitting.order_selection import best_order, try_orders
+from abrace_sysid.identification import identify
+from abrace_sysid.spectra.frequency_response import FrequencyResponse
+
+PAIRS = ((8.0, 0.1), (21.0, 0.1))
+"""Frequency [rad/s] and damping ratio of a plant of two modes."""
+
+NOISE = 0.01
+"""Of each channel, over its rms."""
+
+
+@pytest.fixture(scope="module")
+def plant() -> LinearModel:
+    a = np.zeros((4, 4))
+    for i, (frequency, damping) in enumerate(PAIRS):
+        a[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[0.0, 1.0], [-(frequency**2), -2 * damping * frequency]]
+    b = np.array([[0.0], [1.0], [0.0], [1.0]])
+    c = np.array([[0.0, 1.0, 0.0, 0.7], [0.0, 0.6, 0.0, -1.0]])
+    return LinearModel(a, b, c, np.zeros((2, 1)), ("U",), ("v1", "v2"))
+
+
+def measured(plant: LinearModel, lines: int, seed: int) -> FrequencyResponse:
+    """Independent lines with noise, as a periodic test gives them."""
+    omega = np.linspace(2.0, 40.0, lines)
+    exact = discretize(plant, 0.02).frequency_response(omega)[:, :, 0]
+    sigma = np.full(exact.shape, NOISE * np.sqrt(np.mean(np.abs(exact) ** 2, axis=0)))
+    real, imaginary = np.random.default_rng(seed).standard_normal((2, *exact.shape)) / np.sqrt(2)
+    return FrequencyResponse("U", plant.outputs, omega, exact + sigma * (real + 1j * imaginary), sigma, 0.02, "noisy")
+
+
+def errors(plant: LinearModel, lines: int, seeds: int) -> tuple[np.ndarray, float]:
+    """Errors of frequencies and damping ratios in standard deviations, and the share within their 95 % intervals."""
+    poles = plant.poles()
+    scaled, inside = [], []
+    for seed in range(seeds):
+        observation = Observation.of_response(measured(plant, lines, seed), "noisy")
+        for pair, (frequency, damping) in zip(
+            fit_poles([observation], poles[poles.imag > 0]).pairs(), PAIRS, strict=True
+        ):
+            for found, true, deviation, (low, high) in (
+                (pair.frequency, frequency, pair.frequency_deviation, pair.frequency_interval),
+                (pair.damping, damping, pair.damping_deviation, pair.damping_interval),
+            ):
+                scaled.append((found - true) / deviation)
+                inside.append(low <= true <= high)
+    return np.array(scaled), float(np.mean(inside))
+
+
+def test_deviations_and_intervals_are_neither_too_narrow_nor_too_wide(plant):
+    scaled, inside = errors(plant, lines=300, seeds=150)
+    rms = np.sqrt(np.mean(scaled**2))
+    assert 0.9 < rms < 1.1, f"errors are {rms:.2f} standard deviations, rms of {len(scaled)}"
+    assert 0.93 < inside < 0.97, f"{inside:.1%} of {len(scaled)} intervals hold the true value"
+
+
+def test_deviations_of_few_lines_allow_for_their_leverage(plant):
+    # without MacKinnon and White's correction 1.57
+    scaled, _ = errors(plant, lines=20, seeds=150)
+    rms = np.sqrt(np.mean(scaled**2))
+    assert rms < 1.42, f"errors are {rms:.2f} standard deviations, rms of {len(scaled)}"
+
+
+def test_no_pole_is_found_in_noise(plant):
+    # Akaike's criterion in the place of the description length takes a third pair in a third of these
+    found = []
+    for seed in range(15):
+        response = measured(plant, 300, seed)
+        trials = try_orders([Observation.of_response(response, "noisy")], response, [(1, 0), (2, 0), (3, 0), (4, 0)])
+        found.append(len(best_order(trials).pairs()))
+    assert found == [len(PAIRS)] * 15
+
+
+def test_the_poles_of_both_tests_answer_to_each_of_them(rig, laboratory_of):
+    one, other = laboratory_of(rig, 1), laboratory_of(rig, 2)
+    table, command = one.table_test(60), one.command_test(60)
+    first = identify(table, command).poles.common_pairs
+    for changed, tests in (("table", (other.table_test(60), command)), ("command", (table, other.command_test(60)))):
+        pairs = identify(*tests).poles.common_pairs
+        moved = [
+            abs(pair.frequency - before.frequency) / before.frequency_deviation
+            for pair, before in zip(pairs[1:3], first[1:3], strict=True)
+        ]
+        assert max(moved) > 0.1, f"another {changed} test moves the poles by {moved} standard deviations"
