@@ -1,7 +1,7 @@
 """Speed claims against their peers, measured in one run: `make bench`. Writes results/bench.json and prints a table.
 
-simulation     50 000 closed-loop steps, linear and saturated, against scipy's dlsim, python-control's forced_response
-               and a matrix-vector product a step
+simulation     50 000 closed-loop steps, linear and saturated, against scipy's lfilter and dlsim, python-control's
+               forced_response and a matrix-vector product a step
 plant_step_us  a sample of the simulated rig as the node `plant` takes it, against a round trip of the echo below
 lockstep       the demo's closed loop (plant, ground motion, controller, logger, each a process of its own) against a
                bare echo of the same messages between two processes, measured just before and just after
@@ -120,6 +120,7 @@ def simulation_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
         values = found[case]
         title = f"50 000 closed-loop steps, {case}, ms"
         for peer, ratio in (
+            ("scipy lfilter, mode by mode", "ratio_to_lfilter"),
             ("scipy dlsim", "ratio_to_dlsim"),
             ("control forced_response", "ratio_to_forced_response"),
             ("matrix-vector product a step", "ratio_to_floor"),

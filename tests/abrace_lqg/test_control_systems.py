@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,15 @@ def test_a_system_without_a_sample_time_is_refused():
             LinearModel.from_control(system)
 
 
+def test_without_python_control_models_work_and_only_the_way_there_is_refused(
+    monkeypatch: pytest.MonkeyPatch, rig_model: LinearModel
+):
+    monkeypatch.setitem(sys.modules, "control", None)
+    assert discretize(rig_model, PERIOD).sample_period == PERIOD
+    with pytest.raises(AbraceError, match="python-control is not installed, expected the package control"):
+        rig_model.to_control()
+
+
 def test_every_public_function_that_takes_a_model_takes_a_system_of_python_control():
     found = []
     for package in (abrace_core, abrace_lqg):
@@ -108,6 +118,16 @@ def test_python_control_finds_our_margins_on_the_loop_broken_at_a_signal(
     gains, phases, *_ = control.stability_margins(control.frd(response, omega), returnall=True)
     assert np.abs(20 * np.log10(gains)).min() == pytest.approx(found.gain, abs=0.02)
     assert np.abs(phases).min(initial=180.0) == pytest.approx(found.phase, abs=0.1)
+
+
+@pytest.mark.parametrize("signal", ["U1", "U2", "a1", "a3"])
+def test_of_several_commands_and_sensors_all_but_one_stay_closed(signal: str):
+    model = load_rig(SOURCES / "abrace_plant/config/five_storey.yaml").model
+    weights = load_weights(SOURCES / "abrace_lqg/config/lqg3.yaml")
+    law = design(model, weights.model_copy(update={"measured": ["a1", "a3", "a5"], "relative": {}}), PERIOD).controller
+    omega = np.geomspace(0.5, 300.0, 200)
+    found = open_loop(model, law, signal).frequency_response(omega)[:, 0, 0]
+    np.testing.assert_allclose(found, Loop(model, law).transfer_function(signal, omega), rtol=1e-5, atol=1e-8)
 
 
 def test_a_loop_has_to_be_broken_at_one_of_its_signals(rig_model: LinearModel, designed: ControllerDesign):

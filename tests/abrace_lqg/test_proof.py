@@ -313,6 +313,18 @@ def test_a_rig_of_two_brace_groups_is_proven_at_each_command():
     assert [text.get_text() for text in nichols.get_legend().get_texts()] == ["U1, five", "U2, five", "margins"]
 
 
+def test_a_command_with_a_weight_of_its_own_works_less_and_the_other_more():
+    model = load_rig(SOURCES / "abrace_plant/config/five_storey.yaml").model
+    kinds = {"displacement": 1e11, "stroke": 0.0, "acceleration": 1e9, "force": 0.0, "command": 1.0}
+    content = {"measured": ["a1", "a3", "a5"], "weights": kinds, "noise_to_excitation": 0.5}
+    alike, unlike = (
+        predicted_rms(model, design(model, Weights.model_validate(given), PERIOD).controller, Excitation())
+        for given in (content, content | {"relative": {"U2": 5.0}})
+    )
+    assert unlike["U2"] < 0.7 * alike["U2"]
+    assert unlike["U1"] > alike["U1"]
+
+
 def test_the_proof_is_written_into_the_controller_file_and_its_folder(
     tmp_path: Path, rig_model: LinearModel, turned: LinearModel, designed: ControllerDesign
 ):

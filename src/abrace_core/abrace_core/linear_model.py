@@ -189,17 +189,19 @@ def takes_models(function: Callable[Arguments, Result]) -> Callable[Arguments, R
 
     @functools.wraps(function)
     def with_models(*args: Any, **kwargs: Any) -> Result:
-        if "control" in sys.modules:
-            args, kwargs = tuple(map(_converted, args)), {name: _converted(value) for name, value in kwargs.items()}
+        system = getattr(sys.modules.get("control"), "StateSpace", None)
+        if system is not None:
+            args = tuple(_converted(value, system) for value in args)
+            kwargs = {name: _converted(value, system) for name, value in kwargs.items()}
         return function(*args, **kwargs)
 
     return with_models
 
 
-def _converted(value: Any) -> Any:
-    if isinstance(value, sys.modules["control"].StateSpace):
+def _converted(value: Any, system: type) -> Any:
+    if isinstance(value, system):
         return LinearModel.from_control(value)
-    return {name: _converted(each) for name, each in value.items()} if type(value) is dict else value
+    return {name: _converted(each, system) for name, each in value.items()} if type(value) is dict else value
 
 
 def pole_table(poles: NDArray[np.complex128]) -> list[tuple[float, float]]:
