@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from abrace_lqg.weights import Weights
     from abrace_plant.rig.model import Rig
 
-RIGS = ("ncree_three_storey", "five_storey", "single_storey")
+RIGS = ("ncree_three_storey", "five_storey", "ten_storey", "single_storey")
 CONTROLLERS = ("lqg1", "lqg2", "lqg3", "lqg4", "lqg5")
 START = 3.0
 """Second of El Centro at which a cause is planted."""

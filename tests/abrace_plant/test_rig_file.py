@@ -299,7 +299,12 @@ def test_sample_rate_counts_the_stiffeners_too(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "floors", "groups", "on"),
-    [("ncree_three_storey", 3, 1, [1]), ("five_storey", 5, 2, [1, 3]), ("single_storey", 1, 1, [1])],
+    [
+        ("ncree_three_storey", 3, 1, [1]),
+        ("five_storey", 5, 2, [1, 3]),
+        ("ten_storey", 10, 4, [1, 3, 5, 8]),
+        ("single_storey", 1, 1, [1]),
+    ],
 )
 def test_rigs_of_the_folder_survive_a_tenth_of_g_of_el_centro_and_can_be_controlled(name, floors, groups, on):
     rig = load_rig(CONFIGURATIONS / f"{name}.yaml")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 SECONDS = 6.0
 TOPICS = ("response", "brace_command", "ground_motion")
-RIGS = {"five_storey": (5, (2, 2)), "single_storey": (1, (1,))}
+RIGS = {"five_storey": (5, (2, 1)), "ten_storey": (10, (2, 2, 2, 1)), "single_storey": (1, (1,))}
 """Floors, and braces in each group, of each rig in the configuration beside the paper's."""
 
 
