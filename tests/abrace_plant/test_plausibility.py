@@ -23,7 +23,7 @@ RIGS = {
 for rig in RIGS.values():
     del rig["interlocks"]  # limits are checked by themselves: test_limits.py
 PAPERS = RIGS["ncree_three_storey"]
-DIMENSIONLESS = {"count", "floor", "bits", "shapes", "rayleigh.modes"}
+DIMENSIONLESS = {"count", "floor", "bits", "shapes", "rayleigh.modes", "p_delta", "storey", "exponent", "beta", "order"}
 Keys = tuple[str | int, ...]
 
 
@@ -70,6 +70,10 @@ def mistaken(written: dict[str, Any], path: Keys, factor: float) -> dict[str, An
 def key_of(path: Keys) -> str:
     return ".".join(str(part) for part in path if not isinstance(part, int))
 
+
+AS_IT_IS = "ncree_as_a_rig"
+KEYS = {key_of(path) for name, written in RIGS.items() if name != AS_IT_IS for path in quantities(written)}
+"""Of the other rigs: those that the rig as it is shares with them are theirs."""
 
 # --- a sensible rig is never refused ---------------------------------------------------------------------------------
 
@@ -161,8 +165,10 @@ def documented() -> dict[str, list[str]]:
 
 def test_the_page_says_which_mistakes_are_told_in_the_rigs_of_the_folder(tmp_path):
     told: dict[str, list[list[bool]]] = {}
-    for written in RIGS.values():
+    for name, written in RIGS.items():
         for path in quantities(written):
+            if name == AS_IT_IS and key_of(path) in KEYS:
+                continue
             verdicts = told.setdefault(key_of(path), [[] for _ in FACTORS])
             for verdict, factor in zip(verdicts, FACTORS, strict=True):
                 verdict.append(bool(refusal(mistaken(written, path, factor), tmp_path)))

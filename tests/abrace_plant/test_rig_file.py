@@ -74,6 +74,9 @@ def test_rig_of_another_size_is_read(tmp_path):
     assert rig.model.is_stable()
 
 
+JOINT = {"storey": 1, "stiffness": 5e5, "yield_drift": 0.06}
+
+
 def edited(path: tuple[str | int, ...], value: object, name: str = "ncree_three_storey") -> dict[str, Any]:
     """A rig with one key changed, the paper's unless named; `...` deletes it."""
     written = content(name)
@@ -130,6 +133,26 @@ def edited(path: tuple[str | int, ...], value: object, name: str = "ncree_three_
         (("sensors", "force", "noise"), -1.0, "sensors.force.noise", "greater than or equal to 0"),
         (("sensors", "stroke", "range"), 0.0, "sensors.stroke.range", "greater than 0"),
         (("sensors", "stroke"), None, "sensors.stroke", ""),
+        (("table", "dynamics"), {"mass": 27000.0, "frequency": 138.0}, "table.dynamics.damping_ratio", "missing"),
+        (("building", "friction"), [100.0, 100.0], "building.friction", "one for each of 3 storeys"),
+        (("building", "friction"), [100.0, -1.0, 0.0], "building.friction.1", "greater than or equal to 0"),
+        (("building", "hysteresis"), [JOINT | {"storey": 4}], "building.hysteresis.0.storey", "from 1 to 3"),
+        (("building", "hysteresis"), [JOINT | {"beta": 0.4}], "building.hysteresis.0.beta", "or equal to 0.5"),
+        (("building", "hysteresis"), [JOINT | {"exponent": 0.5}], "building.hysteresis.0.exponent", "or equal to 1"),
+        (
+            ("building", "hysteresis"),
+            [JOINT, JOINT | {"stiffness": 2.6e6}],
+            "building.hysteresis.1.stiffness",
+            "positive definite",
+        ),
+        (("building", "p_delta"), "yes please", "building.p_delta", "boolean"),
+        (("braces", 0, "backlash"), -1e-4, "braces.0.backlash", "greater than or equal to 0"),
+        (("braces", 0, "actuator", "stall_force"), 0.0, "braces.0.actuator.stall_force", "greater than 0"),
+        (("braces", 0, "actuator", "stall_force"), 2450.0, "braces.0.actuator.stall_force", "times the capacity"),
+        (("local_modes", 0, "transverse_share"), [0.5], "local_modes.0.transverse_share", "one for each of 3 floors"),
+        (("sensors", "anti_alias"), {"cutoff": 150.0, "order": 11}, "sensors.anti_alias.order", "equal to 10"),
+        (("sensors", "cross_axis"), 2.0, "sensors.cross_axis", "less than or equal to 0.2"),
+        (("sensors", "force", "hum_frequency"), 100.0, "sensors.force.hum_frequency", "less than or equal to 65"),
     ],
 )
 def test_mistake_in_a_rig_file_gives_one_line_that_names_file_key_and_what_was_expected(
@@ -292,6 +315,34 @@ def test_sample_rate_counts_the_stiffeners_too(tmp_path):
     del written["local_modes"]
     written["sample_rate"] = 32.0
     assert "twice the frequency of mode 3 of the building with its stiffeners" in refusal(written, tmp_path)
+
+
+# --- what is not linear ----------------------------------------------------------------------------------------------
+
+
+def test_weight_lowers_the_frequencies_and_is_refused_where_measured_ones_are_given_or_where_it_buckles(tmp_path):
+    plain, heavy = read(content(), tmp_path), read(edited(("building", "p_delta"), True), tmp_path)
+    assert (heavy.building.modes()[0] < 0.999 * plain.building.modes()[0]).all()
+    np.testing.assert_allclose(heavy.building.damping_ratios, plain.building.damping_ratios, rtol=1e-6)
+    single = edited(("building", "p_delta"), True, "single_storey")
+    assert "expected false: measured frequencies are those under the weight" in refusal(single, tmp_path)
+    soft = content()
+    soft["building"]["stiffness"] = (0.02 * np.array(soft["building"]["stiffness"])).tolist()
+    soft["building"]["p_delta"] = True
+    assert refusal(soft, tmp_path).startswith("building.p_delta: squares of the frequencies -")
+
+
+def test_backlash_needs_oil_of_some_stiffness(tmp_path):
+    written = edited(("braces", 0, "backlash"), 1e-4)
+    written["braces"][0]["actuator"]["velocity_feedback"] = 0.0
+    assert refusal(written, tmp_path).startswith("braces.0.backlash: 0.0001 m, expected 0 where")
+
+
+def test_the_rig_as_it_is_is_the_papers_while_it_moves_little():
+    asis, papers = (load_rig(CONFIGURATIONS / f"{name}.yaml") for name in ("ncree_as_a_rig", "ncree_three_storey"))
+    np.testing.assert_allclose(asis.model.a, papers.model.a, rtol=1e-6, atol=1e-6 * np.abs(papers.model.a).max())
+    assert asis.table == papers.table
+    assert asis.interlocks == papers.interlocks
 
 
 # --- the files of the folder -----------------------------------------------------------------------------------------

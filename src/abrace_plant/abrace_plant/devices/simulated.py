@@ -89,7 +89,7 @@ class SimulatedRig:
         for _ in range(1 + missed):
             self._true[:-1] = self._motion.outputs(table, np.asarray(command))[self._measured_outputs]
         self._samples += 1 + missed
-        self._true[-1] = table
+        self._true[-1] = self._motion.ground_acceleration
         values = self._measurement.read(self._true)
         return Reading(values, stamp, 0, missed, late > 0)
 

@@ -154,7 +154,7 @@ class Target:
         ground = float(self._acting[-1])
         self._velocity += ground * self.period
         self._true[:-1] = self._motion.outputs(ground, self._acting[:-1])[self._measured_outputs]
-        self._true[-1] = ground
+        self._true[-1] = self._motion.ground_acceleration
         return self._measurement.read(self._true)
 
     def _falling(self) -> NDArray[np.float64]:

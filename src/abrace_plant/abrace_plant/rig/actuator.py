@@ -5,6 +5,12 @@
 f is the force in the load cell [N], U the command [N], v the velocity at which the actuator extends [m/s]. With its end
 held (the bench of Fig. 2) it has unity gain and a lag of tau. In a building the term c v makes the structure's poles
 the zeros of f/U: the control-structure interaction of Fig. 3 (Dyke et al. 1995).
+
+The valve asks for the rate s = (U - f + omega_i g) / tau. What it gives is less: nothing within its deadband, the
+overlap of its spool; no more than its flow limit; and of that the share that the pressure drop leaves, which falls
+with the square root as the oil's force rises towards the supply pressure (Merritt 1967, chapter 5):
+
+    rate = clip(s less the deadband) sqrt(1 - sign(s) f_oil / stall_force)
 """
 
 from __future__ import annotations
@@ -41,6 +47,12 @@ class Actuator:
         Of a stop with the parts in series [N/m].
     command_delay
         Between a command and the valve [s].
+    friction
+        Of the piston's seals [N], Coulomb's; between oil and load cell.
+    deadband
+        Force error to each side that the valve's overlap leaves without answer [N].
+    stall_force
+        Supply pressure times the piston's area [N], at which the valve has no flow left.
     """
 
     capacity: float
@@ -52,6 +64,9 @@ class Actuator:
     stroke_limit: float = np.inf
     stop_stiffness: float = 0.0
     command_delay: float = 0.0
+    friction: float = 0.0
+    deadband: float = 0.0
+    stall_force: float = np.inf
 
     def bench_model(self) -> LinearModel:
         """U to f with the actuator's end held, as on the bench (Fig. 2)."""

@@ -17,6 +17,11 @@ from abrace_core.errors import AbraceError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from abrace_plant.rig.hysteresis import Hysteresis
+
+STANDARD_GRAVITY = 9.80665
+"""[m/s^2]."""
+
 ALIKE = 0.2
 """Greatest cosine, in the mass metric, between two measured mode shapes. The modes of a frame have 0; a modal test
 counts as good up to 0.1 (the orthogonality criterion of NASA-STD-5002); more than 0.2 is taken for a typing mistake."""
@@ -35,11 +40,17 @@ class Building:
         `stiffness_of_modes`.
     damping
         (floors, floors) [N s/m], condensed to the floors, symmetric; see `modal_damping` and `rayleigh_damping`.
+    friction
+        (floors,) Coulomb friction of each storey's bearings and guides [N]; empty: none.
+    hysteresis
+        Springs that yield, each in place of a part of the stiffness.
     """
 
     masses: NDArray[np.float64]
     stiffness: NDArray[np.float64]
     damping: NDArray[np.float64]
+    friction: tuple[float, ...] = ()
+    hysteresis: tuple[Hysteresis, ...] = ()
 
     @property
     def floors(self) -> int:
@@ -55,6 +66,25 @@ class Building:
         """(floors,) of the undamped modes, slowest first; what couples the modes is left out."""
         frequencies, shapes = self.modes()
         return np.asarray(np.einsum("im,ij,jm->m", shapes, self.damping, shapes) / (2 * frequencies))
+
+
+def storey_direction(storey: int, floors: int) -> NDArray[np.float64]:
+    """(floors,) 1 at the floor on top of a `storey` (1 the lowest), -1 at the floor below it: their drift."""
+    direction = np.zeros(floors)
+    direction[storey - 1] = 1.0
+    if storey > 1:
+        direction[storey - 2] = -1.0
+    return direction
+
+
+def gravity_stiffness(masses: NDArray[np.float64], storey_height: float) -> NDArray[np.float64]:
+    """What the weight takes from the stiffness (floors, floors) [N/m]: P-Delta (Wilson 2002, sec. 11).
+
+    In a storey of `storey_height` h [m] that leans by a drift d, the weight W of the `masses` (floors,) [kg] above it
+    pushes on with W d / h.
+    """
+    weight = STANDARD_GRAVITY * np.cumsum(masses[::-1])[::-1]
+    return shear_stiffness(weight / storey_height)
 
 
 def shear_stiffness(storey_stiffness: NDArray[np.float64]) -> NDArray[np.float64]:

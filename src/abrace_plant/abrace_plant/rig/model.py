@@ -20,6 +20,7 @@ from abrace_core import signals
 from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
+from abrace_plant.rig.building import storey_direction
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from abrace_plant.rig.actuator import Actuator
     from abrace_plant.rig.building import Building
     from abrace_plant.rig.sensors import Sensor, SensorSet
+    from abrace_plant.rig.table_dynamics import TableDynamics
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,8 @@ class BraceGroup:
     connected
         Whether braces and stiffeners are bolted to the floor and the servo is on; a disconnected group neither pushes
         nor measures.
+    backlash
+        Clearance of a brace's pins from one side to the other, along the brace [m].
     """
 
     floor: int
@@ -59,14 +63,11 @@ class BraceGroup:
     stiffener_stiffness: float
     actuator: Actuator
     connected: bool = True
+    backlash: float = 0.0
 
     def direction(self, floors: int) -> NDArray[np.float64]:
         """(floors,) 1 at the braces' floor, -1 at the floor below: x_floor - x_below."""
-        unit = np.zeros(floors)
-        unit[self.floor - 1] = 1.0
-        if self.floor > 1:
-            unit[self.floor - 2] = -1.0
-        return unit
+        return storey_direction(self.floor, floors)
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,8 @@ class LocalMode:
         (groups,) share of the modal displacement in a brace's stroke, and of its force in the modal force.
     accelerometer_share
         (floors,) share of the modal acceleration in each floor's accelerometer.
+    transverse_share
+        (floors,) share of the modal acceleration across the accelerometers' axis; empty: none.
     """
 
     frequency: float
@@ -90,6 +93,7 @@ class LocalMode:
     mass: float
     brace_share: tuple[float, ...]
     accelerometer_share: tuple[float, ...]
+    transverse_share: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -134,6 +138,8 @@ class Rig:
         m, for drawing and for the limit of the drift.
     interlocks
         Limits by name; those that are left out follow from the other numbers, see `limits.limit_table`.
+    table_dynamics
+        How the table follows its command; None: exactly.
     """
 
     name: str
@@ -145,6 +151,7 @@ class Rig:
     sensors: SensorSet
     storey_height: float = 3.0
     interlocks: Mapping[str, Interlock] = field(default_factory=dict)
+    table_dynamics: TableDynamics | None = None
 
     @property
     def floors(self) -> int:
@@ -211,7 +218,7 @@ class Rig:
 
     @cached_property
     def model(self) -> LinearModel:
-        """The continuous model from [w, U] to z, exact and without sensors."""
+        """The continuous model from [w, U] to z, without sensors; exact but for the effects that `effects` lists."""
         n, h, groups = self.floors, len(self.local_modes), self.groups
         dofs = n + h
         mass = np.concatenate([self.building.masses, [mode.mass for mode in self.local_modes]])

@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.errors import AbraceError
+from abrace_plant.rig.building import STANDARD_GRAVITY as G
+from abrace_plant.rig.building import storey_direction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from abrace_plant.rig.model import BraceGroup, Rig
-
-G = 9.80665
-"""Standard acceleration of gravity [m/s^2]."""
 
 UNITS = {
     "kg": {"kgf s^2/m": G, "t": 1e3, "g": 1e-3},
@@ -148,6 +147,7 @@ def check_units(rig: Rig, stiffness: Sequence[Number], damping: Sequence[Number]
     rules = [
         *_table(rig),
         *_building(rig, masses, stiffness, damping),
+        *_departures(rig),
         *_braces(rig, _median(masses, -1.0)),
         *_local_modes(rig),
         *_sensors(rig),
@@ -190,6 +190,13 @@ def _table(rig: Rig) -> Iterator[_Rule]:
     yield _Rule(hertz, 0.05, 20.0, "over 2 pi peak_displacement {} Hz", (velocity, replace(stroke, power=-1.0)))
     hertz = peak.value / velocity.value / (2 * np.pi)
     yield _Rule(hertz, 0.1, 60.0, "peak_acceleration over 2 pi times it {} Hz", (replace(velocity, power=-1.0), peak))
+    if rig.table_dynamics is not None:
+        key, dynamics = "table.dynamics", rig.table_dynamics
+        mass = Number(f"{key}.mass", dynamics.mass, "kg")
+        yield _Rule(mass.value / rig.building.masses.sum(), 0.05, 50.0, "{} times the building's mass", (mass,))
+        yield _Rule(dynamics.frequency, 20.0, 1000.0, "", (Number(f"{key}.frequency", dynamics.frequency, "rad/s"),))
+        damping = Number(f"{key}.damping_ratio", dynamics.damping_ratio, "of critical")
+        yield _Rule(damping.value, 0.005, 2.0, "", (damping,))
 
 
 def _building(
@@ -212,6 +219,22 @@ def _building(
     yield _Rule(spread, 1.0, most, "the bare frame's fastest frequency {} times its first", (stiffness[-1],))
 
 
+def _departures(rig: Rig) -> Iterator[_Rule]:
+    """Rules of what a building has that a linear frame has not."""
+    building, weight = rig.building, G * rig.building.masses.sum()
+    for i, limit in enumerate(building.friction):
+        if limit:
+            number = Number(f"building.friction.{i}", limit, "N")
+            yield _Rule(limit / weight, 1e-6, 0.05, "{} times the building's weight", (number,))
+    for i, spring in enumerate(building.hysteresis):
+        key = f"building.hysteresis.{i}"
+        stiffness = Number(f"{key}.stiffness", spring.stiffness, "N/m")
+        ratio = spring.stiffness / _storey(rig, spring.storey)
+        yield _Rule(ratio, 0.01, 1.0, "{} times the frame's stiffness there", (stiffness,))
+        drift = Number(f"{key}.yield_drift", spring.yield_drift, "m")
+        yield _Rule(drift.value / rig.storey_height, 2e-4, 0.1, "{} times the storey's height", (drift,))
+
+
 def _braces(rig: Rig, mass: Number) -> Iterator[_Rule]:
     weight = G * rig.building.masses.sum()
     first = rig.building.modes()[0][0]
@@ -220,7 +243,7 @@ def _braces(rig: Rig, mass: Number) -> Iterator[_Rule]:
         yield _Rule(group.cosine, 0.1, 1.0, "", (Number(f"{key}.cosine", group.cosine, ""),))
         if group.stiffener_stiffness:
             number = Number(f"{key}.stiffener_stiffness", group.stiffener_stiffness, "N/m")
-            ratio = group.stiffener_stiffness / _storey(rig, group)
+            ratio = group.stiffener_stiffness / _storey(rig, group.floor)
             yield _Rule(ratio, 0.002, 50.0, "{} times the bare frame's stiffness there", (number,))
 
         key = f"{key}.actuator"
@@ -247,11 +270,25 @@ def _braces(rig: Rig, mass: Number) -> Iterator[_Rule]:
         if actuator.command_delay:
             delay = Number(f"{key}.command_delay", actuator.command_delay, "s")
             yield _Rule(delay.value, 1e-5, 0.1, "", (delay,))
+        yield from _faults_of_a_brace(group, f"braces.{i}", capacity)
 
 
-def _storey(rig: Rig, group: BraceGroup) -> float:
-    """Force between a group's floor and the one below for each metre between them [N/m], in the bare frame."""
-    direction = group.direction(rig.floors)
+def _faults_of_a_brace(group: BraceGroup, key: str, capacity: Number) -> Iterator[_Rule]:
+    """Rules of what an ideal brace has not."""
+    actuator = group.actuator
+    if group.backlash:
+        backlash = Number(f"{key}.backlash", group.backlash, "m")
+        yield _Rule(backlash.value / actuator.stroke_limit, 1e-4, 0.2, "{} times stroke_limit", (backlash,))
+    forces = (("friction", 1e-4, 0.3), ("deadband", 1e-5, 0.2), ("stall_force", 0.8, 10.0))
+    for name, least, most in forces:
+        number = Number(f"{key}.actuator.{name}", getattr(actuator, name), "N")
+        if 0 < number.value < np.inf:
+            yield _Rule(number.value / capacity.value, least, most, "{} times the capacity", (number,))
+
+
+def _storey(rig: Rig, storey: int) -> float:
+    """Force between a `storey`'s floors for each metre between them [N/m], in the bare frame."""
+    direction = storey_direction(storey, rig.floors)
     return float(1 / (direction @ np.linalg.solve(rig.building.stiffness, direction)))
 
 
@@ -265,8 +302,8 @@ def _local_modes(rig: Rig) -> Iterator[_Rule]:
         yield _Rule(ratio.value, 5e-5, 0.4, "", (ratio,))
         mass = Number(f"{key}.mass", mode.mass, "kg")
         yield _Rule(mass.value / whole, 5e-4, 20.0, "{} times the building's mass", (mass,))
-        for name, shares in (("brace_share", mode.brace_share), ("accelerometer_share", mode.accelerometer_share)):
-            for j, share in enumerate(shares):
+        for name in ("brace_share", "accelerometer_share", "transverse_share"):
+            for j, share in enumerate(getattr(mode, name)):
                 number = Number(f"{key}.{name}.{j}", share, "")
                 yield _Rule(abs(share), 0.0, 2.0, "{} of the mode's greatest displacement", (number,))
 
@@ -296,7 +333,15 @@ def _sensors(rig: Rig) -> Iterator[_Rule]:
         sensor, key = getattr(rig.sensors, kind), f"sensors.{kind}"
         greatest = Number(f"{key}.range", sensor.range, unit)
         yield _Rule(sensor.range / scale.value, least, most, f"{{}} times {scale.key}", (greatest, scale))
-        for error, share in (("noise", 0.2), ("bias", 0.5), ("drift", 0.1)):
+        if np.isfinite(sensor.bandwidth):
+            yield from _bandwidth(rig, f"{key}.bandwidth", sensor.bandwidth)
+        for error, share in (("noise", 0.2), ("bias", 0.5), ("drift", 0.1), ("hum", 0.2)):
             value = getattr(sensor, error)
             number = Number(f"{key}.{error}", value, rate if error == "drift" else unit)
             yield _Rule(abs(value) / sensor.range, 0.0, share, "{} times the range", (number,))
+    if rig.sensors.anti_alias is not None:
+        yield from _bandwidth(rig, "sensors.anti_alias.cutoff", rig.sensors.anti_alias.cutoff)
+
+
+def _bandwidth(rig: Rig, key: str, value: float) -> Iterator[_Rule]:
+    yield _Rule(value / rig.sample_rate, 0.02, 100.0, "{} times the sample_rate", (Number(key, value, "Hz"),))

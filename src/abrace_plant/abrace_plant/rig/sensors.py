@@ -1,4 +1,4 @@
-"""Sensors: bias, drift, noise, range and quantisation of the readings, and channels that fail."""
+"""Sensors: bias, drift, hum, noise, range and quantisation of the readings, and channels that fail."""
 
 from __future__ import annotations
 
@@ -35,6 +35,10 @@ class Sensor:
         Constant error, in the channel's SI unit.
     drift
         Growth of the error [the channel's SI unit per second].
+    hum, hum_frequency
+        Amplitude of the mains' hum in the cables, in the channel's SI unit, and its frequency [Hz].
+    bandwidth
+        Of the transducer with its conditioner [Hz]; see `sensor_dynamics`.
     """
 
     range: float
@@ -42,6 +46,9 @@ class Sensor:
     bits: int
     bias: float = 0.0
     drift: float = 0.0
+    hum: float = 0.0
+    hum_frequency: float = 60.0
+    bandwidth: float = math.inf
 
     @property
     def step(self) -> float:
@@ -55,14 +62,42 @@ class Sensor:
 
 
 @dataclass(frozen=True)
+class AntiAlias:
+    """A Butterworth low-pass in front of every converter.
+
+    Parameters
+    ----------
+    cutoff
+        Frequency at which the gain is 3 dB less than at rest [Hz].
+    order
+        1 or more.
+    """
+
+    cutoff: float
+    order: int
+
+
+@dataclass(frozen=True)
 class SensorSet:
-    """The sensor of each kind of quantity."""
+    """The sensor of each kind of quantity.
+
+    Parameters
+    ----------
+    displacement, stroke, acceleration, force, ground_acceleration
+        The sensors.
+    anti_alias
+        The filter in front of every converter; None: none.
+    cross_axis
+        Share of an acceleration across its axis that an accelerometer of a floor reads as one along it.
+    """
 
     displacement: Sensor
     stroke: Sensor
     acceleration: Sensor
     force: Sensor
     ground_acceleration: Sensor
+    anti_alias: AntiAlias | None = None
+    cross_axis: float = 0.0
 
     def channels(self, floors: int, groups: int, braces: int) -> list[Sensor]:
         """One sensor a channel of a rig of `floors` floors and `braces` braces in `groups` groups.
@@ -152,6 +187,9 @@ class Measurement:
         self._noise = np.array([channel.noise for channel in channels])
         self._bias = np.array([channel.bias for channel in channels])
         self._drift = np.array([channel.drift for channel in channels]) * sample_period
+        self._hum = np.array([channel.hum for channel in channels])
+        self._turn = 2 * np.pi * sample_period * np.array([channel.hum_frequency for channel in channels])
+        self._phase = np.random.default_rng((seed, 2)).uniform(0.0, 2 * np.pi, len(channels))
         self._limit = np.array([channel.range for channel in channels])
         self._step = np.array([channel.step for channel in channels])
         self._most = np.array([channel.highest for channel in channels])
@@ -198,6 +236,8 @@ class Measurement:
         samples = self._drawn + np.arange(BLOCK)[:, None]
         noise = self._random.standard_normal((BLOCK, len(self._noise))) * self._noise
         self._errors = noise + (self._bias + samples * self._drift)
+        if self._hum.any():
+            self._errors += self._hum * np.sin(samples * self._turn + self._phase)
         self._drawn += BLOCK
         self._next = 0
 

@@ -1,0 +1,52 @@
+"""The shake table as it follows its command, with the building on it.
+
+After Blondet and Esparza (1988) and Conte and Trombetti (2000).
+
+The table, of mass m, is held by the oil columns of its actuators, of stiffness k and damping c, at the displacement y_c
+that is commanded. With e = y - y_c the following error, w_c = y_c'' the commanded acceleration and w = y'' that of the
+table, which its accelerometer measures:
+
+    m w = -c e' - k e - sum over the floors of mass times absolute acceleration,     e'' = w - w_c
+
+Without payload w / w_c = (c s + k) / (m s^2 + c s + k). The building's base shear, and the horizontal force of braces
+that stand on the table, move it too: near the building's frequencies w / w_c has a notch and a peak, and braces shake a
+table that is not commanded to move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class TableDynamics:
+    """A table that does not follow exactly.
+
+    Parameters
+    ----------
+    mass
+        Of the table without payload [kg].
+    frequency, damping_ratio
+        Of the table without payload on the oil columns of its actuators [rad/s].
+    """
+
+    mass: float
+    frequency: float
+    damping_ratio: float
+
+    def acceleration_row(self, base_shear: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(states + 2,) of the table's acceleration in the rig's states, e and e'.
+
+        Parameters
+        ----------
+        base_shear
+            (states,) of the sum of mass times absolute acceleration of the floors [N].
+        """
+        own = [-(self.frequency**2), -2 * self.damping_ratio * self.frequency]
+        return np.concatenate([-base_shear / self.mass, own])
