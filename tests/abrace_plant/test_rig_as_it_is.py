@@ -13,6 +13,7 @@ from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import simulate
 from abrace_plant.rig.building import Building, gravity_stiffness, storey_direction
 from abrace_plant.rig.effects import effects
+from abrace_plant.rig.effects_figure import effects_figure
 from abrace_plant.rig.equations import equations
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.hysteresis import Hysteresis
@@ -81,6 +82,24 @@ def test_every_effect_of_the_rig_as_it_is_is_named():
         *("table of 27000 kg", "anti-alias filters of 200 Hz", "transducers", "2 % of cross-axis"),
     ):
         assert word in text
+
+
+@pytest.mark.parametrize("rig", [AS_IT_IS, load_rig(CONFIGURATIONS / "five_storey.yaml")], ids=lambda rig: rig.name)
+def test_what_the_linear_model_leaves_out_is_drawn(rig):
+    storeys, brace, gains = effects_figure(rig).axes
+    assert len(storeys.lines) == min(rig.floors, 4)
+    beyond = np.array(storeys.lines[0].get_ydata())
+    force = np.array(brace.lines[0].get_ydata())
+    table = [line for line in gains.lines if line.get_label() == "table"]
+    if rig is AS_IT_IS:
+        assert np.abs(beyond).max() > 500, "it yields"
+        assert (np.abs(force) < 1e-9).mean() > 0.1, "deadband and backlash"
+        gain = np.array(table[0].get_ydata())
+        assert abs(gain[:40] - 1).max() < 0.1
+        assert 1.3 < gain.max() < 2.0
+    else:
+        assert np.abs(beyond).max() < 0.01 * rig.building.masses.sum(), "nothing but the derivative's error"
+        assert not table
 
 
 # --- friction --------------------------------------------------------------------------------------------------------

@@ -11,6 +11,8 @@ from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_plant.rig import published
 from abrace_plant.rig.characteristics import as_json, characterize, comparison
 from abrace_plant.rig.characteristics_figure import characteristics_figure
+from abrace_plant.rig.effects import effects
+from abrace_plant.rig.effects_figure import effects_figure
 from abrace_plant.rig.file import load_rig
 
 PARAMETERS = [
@@ -47,6 +49,11 @@ class Characterize(AbraceNode):
         output = Path(self.parameters.output or f"results/characterize/{rig.name}")
         write_text(output / "characteristics.json", json.dumps(as_json(found, rig), indent=1) + "\n")
         save_figure(characteristics_figure(rig, found), output / "characteristics.png")
+        if left_out := effects(rig):
+            save_figure(effects_figure(rig), output / "effects.png")
+            self.get_logger().warning(
+                f"these are the numbers of the rig's linear model, which leaves out: {'; '.join(left_out)}"
+            )
         print(f"wrote {output}")
 
 
