@@ -14,9 +14,13 @@ from abrace_core.multisine import repeated_multisine
 from abrace_core.noise import banded_noise
 from abrace_core.run import Run
 from abrace_core.simulation import simulate, simulate_closed_loop
+from abrace_plant.rig.effects import effects
+from abrace_plant.rig.motion import RigMotion
 from abrace_plant.rig.sensors import Measurement
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from abrace_core.linear_model import LinearModel
     from abrace_plant.rig.model import Rig
 
@@ -31,7 +35,8 @@ class Laboratory:
     Parameters
     ----------
     rig
-        The rig; its sensors' noise, range and steps are in the records.
+        The rig; its sensors' noise, range and steps are in the records. It is linear, and without limits; one that has
+        effects which a linear model leaves out is stepped with all of them.
     seed
         Of noise and excitation.
     """
@@ -39,6 +44,7 @@ class Laboratory:
     def __init__(self, rig: Rig, seed: int = 0) -> None:
         self.rig, self.seed = rig, seed
         self.model = rig.discrete_model()
+        self.as_it_is = bool(effects(rig))
 
     def _run(self, source: str, outputs: Array, ground: Array, command_until: Array) -> Run:
         channels = self.rig.sensors.channels(self.rig.floors, self.rig.groups, self.rig.groups)
@@ -49,16 +55,40 @@ class Laboratory:
         shape = (self.rig.floors, self.rig.groups)
         return Run(source, period, sequence, *shape, readings[:, :-1], readings[:, -1], command_until)
 
+    def _stepped(self, source: str, ground: Array, command: Callable[[int, Array], Array]) -> Run:
+        """A test of a rig as it is: in force from sample k on is the `command` of k and the outputs at sample k - 1."""
+        motion, acting = RigMotion(self.rig), np.zeros(self.rig.groups)
+        outputs, until = np.zeros((len(ground), len(self.model.outputs))), np.zeros((len(ground), len(acting)))
+        table = np.zeros(len(ground))
+        for k, acceleration in enumerate(ground):
+            until[k] = acting
+            acting = np.clip(command(k, outputs[k - 1]), -self.rig.capacity, self.rig.capacity)
+            outputs[k] = motion.outputs(acceleration, acting)
+            table[k] = motion.ground_acceleration
+        return self._run(source, outputs, table, until)
+
     def open_loop(self, source: str, ground: Array, command: Array) -> Run:
         """A test with a `command` (samples,) in force from each sample on; its name is `source`."""
+        if self.as_it_is:
+            return self._stepped(source, ground, lambda k, _: command[k : k + 1])
         outputs = simulate(self.model, np.column_stack([ground, command]))
         return self._run(source, outputs, ground, np.concatenate([[0.0], command[:-1]])[:, None])
 
     def closed_loop(self, source: str, ground: Array, controller: LinearModel, correction: Array | None = None) -> Run:
         """A test in which a discrete `controller` commands, within the rig's capacity; its name is `source`.
 
-        `correction` is the controller's, as in `simulate_closed_loop`.
+        `correction` is the controller's, as in `simulate_closed_loop`; a rig as it is knows none.
         """
+        if self.as_it_is:
+            state, measured = np.zeros(controller.order), [self.model.outputs.index(n) for n in controller.inputs]
+
+            def law(_: int, outputs: Array) -> Array:
+                nonlocal state
+                command = controller.c @ state + controller.d @ outputs[measured]
+                state = controller.a @ state + controller.b @ outputs[measured]
+                return np.asarray(command)
+
+            return self._stepped(source, ground, law)
         outputs, command = simulate_closed_loop(self.model, controller, ground, self.rig.capacity, correction)
         return self._run(source, outputs, ground, command)
 
