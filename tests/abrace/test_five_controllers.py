@@ -251,6 +251,8 @@ def test_the_script_runs_from_two_bags_to_the_weights_of_all_five(
     for title in ("consistent model", "superposed model", "other tests 1", "the rig"):
         assert said.count(f"  {title}: mean error 0.") == len(NAMES), title
     assert "damping kept" in said
+    for half in ("peak", "rms"):
+        assert f"fitted to the column {half} alone: [" in said
 
 
 def test_the_script_asks_for_two_bags_or_none(
