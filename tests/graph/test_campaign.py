@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 from domain_coordinator import domain_id
 
 from abrace.processes.group import find_executable
@@ -51,6 +52,17 @@ def nodes_of(folder: Path) -> list[int]:
     return found
 
 
+def event_wake_ups(node: int) -> int:
+    """How often the thread for the middleware's timed events has woken in a node, by its process."""
+    try:
+        for thread in Path(f"/proc/{node}/task").iterdir():
+            if (thread / "comm").read_text().startswith("dds.ev"):
+                return int((thread / "status").read_text().partition("\nvoluntary_ctxt_switches:")[2].split()[0])
+    except OSError:
+        pass  # it has just ended
+    return 0
+
+
 def wait_for(condition, timeout: float, what: str) -> None:
     deadline = time.monotonic() + timeout
     while not condition():
@@ -68,13 +80,26 @@ def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_list
     with subprocess.Popen(listener, cwd=tmp_path, env=environment) as listening:
         wait_for((tmp_path / "listened").exists, 30.0, "the listener")
         process = start(tmp_path, environment, "campaign", str(path))
-        output, errors = process.communicate(timeout=100)
+        wake_ups: dict[int, int] = {}
+        deadline = time.monotonic() + 100.0
+        while process.poll() is None and time.monotonic() < deadline:
+            wake_ups |= {node: event_wake_ups(node) or wake_ups.get(node, 0) for node in nodes_of(tmp_path)}
+            time.sleep(0.05)
+        output, errors = process.communicate(timeout=1)
         listening.send_signal(signal.SIGINT)
     assert read_topics(tmp_path / "listened", ["/short/response"])["/short/response"].log_time.size
     assert process.returncode == 0, errors
     assert "[1/2] shaken: done" in errors
     assert "[2/2] pushed: done" in errors
     assert "Timing, in lockstep" in output
+    assert 0 < max(wake_ups.values()) < 2000, "less than one for each sample of a test"
+    nodes = tmp_path / "results/short/nodes"
+    processors = [
+        yaml.safe_load((nodes / f"shaken_{name}.yaml").read_text())["/**"]["ros__parameters"]["cpu_affinity"]
+        for name in ("plant", "ground_motion")
+    ]
+    assert all(len(one) == 1 for one in processors)
+    assert len(os.sched_getaffinity(0)) == 1 or processors[0] != processors[1]
     timing = json.loads((tmp_path / "results/short/summary.json").read_text())["timing"]
     assert set(timing["wall_seconds"]) == {"shaken", "pushed"}
     (bags,) = (tmp_path / "bags/short").iterdir()

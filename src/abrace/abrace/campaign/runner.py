@@ -38,7 +38,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import save_model
 from abrace_core.node import DIAGNOSTICS, find_file
-from abrace_core.node.transport import CHOICES
+from abrace_core.node.transport import lockstep_environment
 from abrace_core.progress import Progress
 from abrace_plant.devices.file import calibration_of, load_device
 from abrace_plant.records.files import record_file
@@ -58,8 +58,6 @@ SEED = 7
 """Seed of the first test's sensor noise; each later test takes the next one."""
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 """Campaigns on the simulated rig stay on this machine, unless the environment says otherwise."""
-SHARED_MEMORY = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
-"""In lockstep nothing is late, and messages travel as is fastest, unless the environment says otherwise."""
 
 
 @dataclass
@@ -79,8 +77,8 @@ class _Runner:
         """Variables that the nodes get in addition to ours."""
         single = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         own = {key: value for key, value in LOCAL.items() if key not in os.environ}
-        if self.campaign.lockstep and not any(name in os.environ for name in CHOICES):
-            own |= SHARED_MEMORY
+        if self.campaign.lockstep:
+            own |= lockstep_environment()
         return {**own, **single}
 
     def start(
@@ -155,8 +153,7 @@ class _Runner:
             "facts": [f"{key}={value}" for key, value in facts.items()],
             "attachments": [str(path) for path in self.attachments(test)],
         }
-        loop = {"thread_priority": self.campaign.thread_priority} if self.campaign.thread_priority else {}
-        rig = {"rig": str(self.rig_file), "duration": duration, "autostart": False, **loop}
+        rig: dict[str, Any] = {"rig": str(self.rig_file), "duration": duration, "autostart": False}
         if test.disconnected_braces:
             rig["disconnected_braces"] = list(test.disconnected_braces)
         if lockstep:
@@ -164,9 +161,9 @@ class _Runner:
         samples = round(duration * rate)
         with ProcessGroup() as group, GraphMonitor(f"/{self.campaign.name}", ("plant",)) as monitor:
             self.start(group, name, "abrace_bags", "logger", logger)
-            self.start_rig(group, name, seed, rig)
-            for package, executable, parameters in nodes:
-                self.start(group, name, package, executable, parameters | loop)
+            self.start_rig(group, name, seed, rig | self.loop_parameters(0))
+            for number, (package, executable, parameters) in enumerate(nodes, 1):
+                self.start(group, name, package, executable, parameters | self.loop_parameters(number))
             monitor.configure("plant", PATIENCE, group.raise_if_died)
             monitor.wait_until_matched(expected_matches(inputs), PATIENCE, group.raise_if_died)
             monitor.activate("plant", PATIENCE, group.raise_if_died)
@@ -174,6 +171,19 @@ class _Runner:
             group.stop_all([*inputs.values(), "plant", "logger"])
         counts = {"samples": samples, "run_seconds": run_seconds}
         return counts if lockstep else {**counts, **self.losses(bag, done)}
+
+    def loop_parameters(self, number: int) -> dict[str, Any]:
+        """What the loop of a test's node asks the kernel for; number 0 is the rig.
+
+        In lockstep each keeps to one processor, in turn from one on that is not that of every campaign.
+        """
+        given: dict[str, Any] = {}
+        if self.campaign.thread_priority:
+            given["thread_priority"] = self.campaign.thread_priority
+        if self.campaign.lockstep:
+            processors = sorted(os.sched_getaffinity(0))
+            given["cpu_affinity"] = [processors[(os.getpid() + number) % len(processors)]]
+        return given
 
     def losses(self, bag: Path, done: str) -> dict[str, int]:
         """Samples of a run by the clock that are not in the bag, and answers that did not act from the next sample on.

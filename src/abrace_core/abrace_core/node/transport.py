@@ -1,5 +1,7 @@
 """How the messages of a node that streams travel: as `config/streams.xml` says, by UDP alone and with quick repair.
 
+In lockstep, where nothing is late, they travel as `config/lockstep.xml` says.
+
 Before its first message to a listener in shared memory Fast DDS asks whether it is alive, and may sleep a third of a
 second for the answer (`SharedMemGlobal::Port::healthy_check`): in `publish`, in the middle of a run, when a node joins.
 By UDP a reader that joins a running writer is told only by heartbeats that what is older than itself is not for it.
@@ -29,6 +31,17 @@ _THIS_HOST = """<rtps>
 """What rmw_fastrtps 8.4 does for ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, where it adds shared memory by itself."""
 
 
+def _installed(name: str) -> Path:
+    return Path(get_package_share_directory("abrace_core")) / "config" / name
+
+
+def lockstep_environment() -> dict[str, str]:
+    """Variables for the processes of a run in lockstep; none where the environment has one of CHOICES."""
+    if any(name in os.environ for name in CHOICES):
+        return {}
+    return {_PROFILES_FILE: str(_installed("lockstep.xml"))}
+
+
 @contextlib.contextmanager
 def for_streams() -> Iterator[None]:
     """Have the participant that this process makes meanwhile take `streams.xml`, unless the environment chooses.
@@ -40,7 +53,7 @@ def for_streams() -> Iterator[None]:
     if any(name in os.environ for name in CHOICES) or (local and os.environ.get("ROS_STATIC_PEERS")):
         yield
         return
-    installed = Path(get_package_share_directory("abrace_core")) / "config/streams.xml"
+    installed = _installed("streams.xml")
     with tempfile.NamedTemporaryFile("w", prefix="abrace_", suffix=".xml") as file:
         os.environ[_PROFILES_FILE] = str(installed)
         if local:
