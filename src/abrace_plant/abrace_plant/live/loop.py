@@ -194,7 +194,7 @@ class RigLoop:
 
     def receive_ground_acceleration(self, stamp: int, acceleration: float) -> None:
         """Accept a ground `acceleration` [m/s^2] in answer to the sample with this stamp [ns]."""
-        sequence = next((number for known, number in self._stamps if known == stamp), -1)
+        sequence = next((number for known, number in reversed(self._stamps) if known == stamp), -1)
         if sequence < 0:
             self.old += 1
             self._inputs[GROUND].hear([acceleration], self.sequence)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from abrace_core import signals
+from abrace_core.compiled import compiled
 from abrace_plant.rig.detectors import OSCILLATION_TIME, Quantity, detectors, sensor_noise
 from abrace_plant.rig.limits import UNITS, limit_table
 
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
     from abrace_plant.rig.model import Rig
 
-TRUE = b"\1"
 NUMBER = "number"
 """What `Trip` names as the interlock where a reading or the command is not a number."""
 NEVER = 2**62
@@ -117,30 +117,41 @@ class Interlocks:
         self._needed = np.array(needed)
         self._needed[linear : linear + 2 * count][np.tile(quiet, 2)] = NEVER
         self._limits = np.array([kind.value for kind in kinds[:linear]])
-        self._settle = [i for i, one in enumerate(found.quantities) if one.interlock == "implausible_acceleration"]
+        settles = np.array([one.interlock == "implausible_acceleration" for one in found.quantities])
         self._settling = found.settling
-        # [next states; quantities] = step [states; inputs], all views of two vectors
         states = len(found.at_rest)
-        self._step, self._at_rest = found.step, found.at_rest
-        self._vector, self._result = np.zeros(self._step.shape[1]), np.zeros(self._step.shape[0])
-        self._states, self._inputs = self._vector[:states], self._vector[states:]
+        self._at_rest = found.at_rest
+        self._vector = np.zeros(found.step.shape[1])
+        self._inputs = self._vector[states:]
         self._ones, self._reading = np.ones(len(self._inputs)), self._inputs[:count]
         self._command = self._inputs[count : count + rig.groups]
-        self._next_states, self._values = self._result[:states], self._result[states:]
         self._sizes, self._greatest = np.zeros(linear), np.zeros(linear)
-        oscillations = [i for i, one in enumerate(found.quantities) if one.interlock == "oscillation"]
-        self._oscillation = self._sizes[oscillations[0] : oscillations[-1] + 1] if oscillations else np.zeros(0)
-        self._power, self._share = np.zeros(len(oscillations)), 1 / (OSCILLATION_TIME * rig.sample_rate)
-        self._within = np.ones(len(self._quantities), dtype=np.bool_)
-        self._linear_within, self._not_clipped = self._within[:linear], self._within[linear + 2 * count :]
-        # of dead and stuck: the reading from which the later ones are counted, and how far they may be from it
-        self._moved = self._within[linear : linear + 2 * count].reshape(2, count)
-        self._band = np.zeros((2, count))
-        self._band[0] = self.table["dead"].value * np.array([sensor.noise for sensor in sensors])
-        self._references, self._distances = np.zeros((2, count)), np.zeros((2, count))
-        self._of_dead, self._of_stuck, self._not_dead = *self._references, self._moved[0]
+        oscillates = np.array([one.interlock == "oscillation" for one in found.quantities])
+        self._power = np.zeros(linear)
+        self._clipped: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
+        band = self.table["dead"].value * np.array([sensor.noise for sensor in sensors])
+        self._references = np.zeros((2, count))
         self._exceeded = np.zeros(len(self._quantities), dtype=np.int64)
-        self._longest, self._tripped = self._exceeded.copy(), self._within.copy()
+        self._longest = self._exceeded.copy()
+        self._arrays = (
+            np.ascontiguousarray(found.step.T),
+            self._vector,
+            np.zeros(len(found.step)),
+            self._limits,
+            settles,
+            np.where(oscillates, 1 / (OSCILLATION_TIME * rig.sample_rate), 0.0),
+            self._power,
+            self._sizes,
+            self._greatest,
+            band,
+            self._references,
+            self._clipped,
+            self._needed,
+            self._exceeded,
+            self._longest,
+        )
+        _look(False, *self._arrays)  # compiled now, and not between two samples
+        self._longest[:] = 0
         self.trips = dict.fromkeys(self.table, 0)
         self.warnings: list[Trip] = []
         self.reset()
@@ -149,7 +160,7 @@ class Interlocks:
         """Begin anew, with a new run or after a person has cleared a stop: every time counts from the next sample."""
         self._samples = 0
         self._exceeded[:] = 0
-        self._not_clipped[:] = True
+        self._clipped[:] = 0
         self._was_clipped = 0
         self.warnings = []
 
@@ -187,29 +198,12 @@ class Interlocks:
             return self._not_a_number()
         if not self._samples:
             self._begin()
-        np.dot(self._step, self._vector, out=self._result)
-        self._states[:] = self._next_states
-        np.abs(self._values, out=self._sizes)
-        if self._samples < self._settling:
-            self._samples += 1
-            self._sizes[self._settle] = 0.0
-        self._rms(self._oscillation)
-        np.less_equal(self._sizes, self._limits, out=self._linear_within)
-        np.maximum(self._greatest, self._sizes, out=self._greatest)
-        np.subtract(self._references, reading, out=self._distances)
-        np.abs(self._distances, out=self._distances)
-        np.greater(self._distances, self._band, out=self._moved)
-        np.copyto(self._of_dead, reading, where=self._not_dead)
-        self._of_stuck[:] = reading
+        settling = self._samples < self._settling
+        self._samples += settling
         if clipped != self._was_clipped:
             self._was_clipped = clipped
-            self._not_clipped[:] = [not clipped >> i & 1 for i in range(self._channels)]
-        exceeded = self._exceeded
-        np.add(exceeded, 1, out=exceeded)
-        np.copyto(exceeded, 0, where=self._within)
-        np.maximum(self._longest, exceeded, out=self._longest)
-        np.greater_equal(exceeded, self._needed, out=self._tripped)
-        if TRUE in self._tripped.tobytes():  # quicker than any() by half a microsecond
+            self._clipped[:] = [clipped >> i & 1 for i in range(self._channels)]
+        if _look(settling, *self._arrays):
             return self._report()
         if self.warnings:
             self.warnings = []
@@ -226,17 +220,9 @@ class Interlocks:
             found[quantity.interlock] = max(found[quantity.interlock], share)
         return found
 
-    def _rms(self, force: NDArray[np.float64]) -> None:
-        """Replace what is fast of the `force` (groups,) by its rms over the last samples."""
-        np.multiply(force, force, out=force)
-        np.subtract(force, self._power, out=force)
-        np.multiply(force, self._share, out=force)
-        np.add(self._power, force, out=self._power)
-        np.sqrt(self._power, out=force)
-
     def _begin(self) -> None:
         """The first sample: filters as if it had always been."""
-        self._states[:] = self._at_rest @ self._inputs
+        self._vector[: len(self._at_rest)] = self._at_rest @ self._inputs
         self._references[:] = self._reading
         self._power[:] = 0.0
 
@@ -247,7 +233,7 @@ class Interlocks:
     def _report(self) -> Trip | None:
         stop: Trip | None = None
         self.warnings = []
-        for i in np.flatnonzero(self._tripped).tolist():
+        for i in np.flatnonzero(self._exceeded >= self._needed).tolist():
             quantity, samples = self._quantities[i], int(self._exceeded[i])
             if samples == self._needed[i]:
                 self.trips[quantity.interlock] += 1
@@ -259,3 +245,62 @@ class Interlocks:
             elif stop is None:
                 stop = trip
         return stop
+
+
+@compiled
+def _look(
+    settling: bool,
+    step: NDArray[np.float64],
+    vector: NDArray[np.float64],
+    result: NDArray[np.float64],
+    limits: NDArray[np.float64],
+    settles: NDArray[np.bool_],
+    shares: NDArray[np.float64],
+    power: NDArray[np.float64],
+    sizes: NDArray[np.float64],
+    greatest: NDArray[np.float64],
+    band: NDArray[np.float64],
+    references: NDArray[np.float64],
+    clipped: NDArray[np.int64],
+    needed: NDArray[np.int64],
+    exceeded: NDArray[np.int64],
+    longest: NDArray[np.int64],
+) -> bool:
+    """Advance the filters to a sample, and all that counts samples; returns whether an interlock acts.
+
+    result = vector step, where `result` is [next states; quantities] and `vector` [states; inputs]. Of quantities with
+    a share the rms counts, of those that settle nothing while `settling`. `exceeded` counts samples of [quantities;
+    dead; stuck; clipped], whose `references` are the readings from which the later ones are counted.
+    """
+    quantities, channels = len(sizes), len(band)
+    states = len(result) - quantities
+    result[:] = 0.0
+    for j in range(len(vector)):
+        for i in range(len(result)):
+            result[i] += step[j, i] * vector[j]
+    vector[:states] = result[:states]
+    reading = vector[states : states + channels]
+    acts = False
+    for i in range(len(exceeded)):
+        if i < quantities:
+            size = abs(result[states + i])
+            if settling and settles[i]:
+                size = 0.0
+            if shares[i]:
+                power[i] += shares[i] * (size * size - power[i])
+                size = math.sqrt(power[i])
+            sizes[i] = size
+            greatest[i] = max(greatest[i], size)
+            within = size <= limits[i]
+        else:
+            kind, channel = (i - quantities) // channels, (i - quantities) % channels
+            if kind == 2:
+                within = clipped[channel] == 0
+            else:
+                within = abs(references[kind, channel] - reading[channel]) > (0.0 if kind else band[channel])
+                if within:
+                    references[kind, channel] = reading[channel]
+        exceeded[i] = 0 if within else exceeded[i] + 1
+        longest[i] = max(longest[i], exceeded[i])
+        acts = acts or exceeded[i] >= needed[i]
+    return acts
