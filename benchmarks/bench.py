@@ -4,7 +4,8 @@ simulation     50 000 closed-loop steps, linear and saturated, against scipy's l
                forced_response and a matrix-vector product a step
 plant_step_us  a sample of the simulated rig as the node `plant` takes it, against a round trip of the echo below
 lockstep       the demo's closed loop (plant, ground motion, controller, logger, each a process of its own) against a
-               bare echo of the same messages between two processes, measured just before and just after
+               bare echo of the same messages between two processes, and a bare graph of four, measured just before and
+               just after
 controller, loop, lqr_agreement  a step of LQG3, its answer over DDS and the echo, its gains and python-control's
 explore        1000 closed loops of 50 000 steps, designs and margins included, on all cores
 reading        the responses of that run's bag to arrays, against `rosbags`
@@ -14,6 +15,7 @@ identification from bags of 600 s to the model, against `rosbags`, `mcap-ros2-su
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -49,33 +51,41 @@ PLANT_STEPS = 20_000
 SAMPLE_RATE = 500.0
 
 
-def echo_rate() -> float:
-    """Round trips a second of the bare echo."""
-    script = str(HERE / "echo.py")
-    answering = subprocess.Popen([sys.executable, script, "answer"])
-    try:
+def round_trips(*answers: str, listeners: int = 0) -> float:
+    """Round trips a second of bare processes that answer on these topics, with others that listen."""
+    script = [sys.executable, str(HERE / "echo.py")]
+    others = [[*script, "answer", topic] for topic in answers] + [[*script, "listen"]] * listeners
+    with contextlib.ExitStack() as ending:
+        for command in others:
+            process = ending.enter_context(subprocess.Popen(command))
+            ending.callback(process.terminate)
         asking = subprocess.run(
-            [sys.executable, script, "ask", str(ECHO_COUNT)], check=True, capture_output=True, text=True
+            [*script, "ask", str(ECHO_COUNT), str(listeners), *answers], check=True, capture_output=True, text=True
         )
-    finally:
-        answering.terminate()
-        answering.wait()
     return float(asking.stdout)
 
 
+def bare_rates() -> tuple[float, float]:
+    """Round trips a second of the echo, and of the bare graph of the lockstep graph's shape."""
+    return round_trips("brace_command"), round_trips("brace_command", "ground_motion", listeners=1)
+
+
 def lockstep() -> dict[str, Any]:
-    """Samples a second of the lockstep graph, and of the echo around it."""
+    """Samples a second of the lockstep graph; and round trips of an echo, and of a bare graph, before and after it."""
     save_controller(lqg3(), "lqg3.yaml")
-    before = echo_rate()
+    before = bare_rates()
     results = run_campaign(HERE / "lockstep.yaml")
-    after = echo_rate()
+    after = bare_rates()
     (step,) = json.loads((results / "timing.json").read_text(encoding="utf-8"))["steps"]
-    rate, echo = step["samples"] / step["run_seconds"], (before + after) / 2
+    rate = step["samples"] / step["run_seconds"]
+    echo, graph = ((one + other) / 2 for one, other in zip(before, after, strict=True))
     return {
         "samples_per_second": rate,
         "real_time_factor": rate / SAMPLE_RATE,
         "echo_per_second": echo,
         "ratio_to_echo": rate / echo,
+        "bare_graph_per_second": graph,
+        "ratio_to_bare_graph": rate / graph,
     }
 
 
@@ -205,6 +215,7 @@ def main() -> None:
             f"{trip / step:.1f}",
         ),
         ("lockstep, x real time", f"{loop['real_time_factor']:.2f}", "0.7 x", echo, f"{loop['ratio_to_echo']:.2f}"),
+        ("", "", "-", f"bare graph {loop['bare_graph_per_second']:.0f}/s", f"{loop['ratio_to_bare_graph']:.2f}"),
         (
             f"reading {bags['samples']} responses, s",
             f"{bags['seconds']:.2f}",

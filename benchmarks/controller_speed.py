@@ -119,7 +119,7 @@ def loop_latency(controller: Controller) -> dict[str, float]:
         save_controller(controller, file)
         node = find_executable("abrace_lqg", "controller")
         ours = [str(node), "--ros-args", "-r", "__ns:=/ours", "--params-file", str(file)]
-        echo = [sys.executable, str(HERE / "echo.py"), "answer", "--ros-args", "-r", "__ns:=/echo"]
+        echo = [sys.executable, str(HERE / "echo.py"), "answer", "brace_command", "--ros-args", "-r", "__ns:=/echo"]
         answering = [subprocess.Popen(command) for command in (ours, echo)]
         try:
             asking = [sys.executable, str(Path(__file__).resolve()), "ask"]
