@@ -61,7 +61,7 @@ NODES = {
     "abrace_sysid": {
         "ambient": "Offline: bags without commands to modes with intervals; has the building changed (ambient.md).",
         "excitation": "Takes `response`; publishes `brace_command`. Service `~/clear_fault`.",
-        "identify": "Offline: two bags to models, poles and figures.",
+        "identify": "Offline: bags, or measured data, to models, poles and figures.",
         "validate": "Offline: a bag against its simulation by a model.",
     },
     "abrace": {

@@ -150,6 +150,23 @@ def test_modes_are_found_without_a_drive_and_a_building_that_is_the_same_has_not
         assert (tmp_path / name).stat().st_size > 1000
 
 
+def test_measured_data_become_a_model_that_predicts_what_was_held_out(tmp_path):
+    random = np.random.default_rng(1)
+    force, poles = random.standard_normal((6000, 2)), 2 * np.pi * np.array([8.0, 21.0]) * (-0.01 + 1j)
+    s = 2j * np.pi * np.fft.rfftfreq(6000, 0.01)[:, None]
+    modal = s**2 / ((s - poles) * (s - poles.conj())) * (np.fft.rfft(force, axis=0) @ random.standard_normal((2, 2)))
+    moved = np.fft.irfft(modal @ random.standard_normal((2, 5)), 6000, axis=0)
+    moved += 0.02 * moved.std(axis=0) * random.standard_normal(moved.shape)
+    np.savez(tmp_path / "data.npz", force=force[2000:4000], moved=moved[2000:4000])
+    given = {"data": tmp_path / "data.npz", "inputs": "[force_1, force_2]", "output": tmp_path / "model"}
+    ended = run_node("abrace_sysid", "identify", **given, sample_rate=100.0, held_out=0.3, units="[force_1=N]")
+    assert ended.returncode == 0, ended.stderr
+    assert "variance accounted for, 6 s held out: mean 99.9" in ended.stdout
+    (slow, fast) = json.loads((tmp_path / "model/poles.json").read_text())["data"]
+    assert [slow["frequency"], fast["frequency"]] == pytest.approx(np.abs(poles), rel=1e-3)
+    assert (tmp_path / "model/transfer_functions_force_1.png").stat().st_size > 1000
+
+
 def test_a_bag_that_was_cut_off_is_used_as_far_as_it_goes_and_says_so(bags, tmp_path):
     cut = tmp_path / "cut"
     shutil.copytree(bags["table"], cut)
@@ -181,6 +198,8 @@ def test_a_bag_with_lost_samples_is_used_from_the_gap_on_and_refused_where_the_t
     ("package", "executable", "parameters", "expected"),
     [
         ("abrace_sysid", "identify", {"output": "o"}, "parameter table"),
+        ("abrace_sysid", "identify", {"data": "d.npz", "table": "{table}", "output": "o"}, "parameter table"),
+        ("abrace_sysid", "identify", {"data": "d.npz", "inputs": "[u]", "output": "o"}, "d.npz: No such file"),
         ("abrace_sysid", "identify", {"table": "no_bag", "command": "no_bag", "output": "o"}, "no_bag: no such bag"),
         ("abrace_sysid", "identify", {"table": "{command}", "command": "{table}", "output": "o"}, "expected 0"),
         ("abrace_sysid", "identify", {"table": "{check}", "command": "{command}", "output": "o"}, "at least 60 s"),

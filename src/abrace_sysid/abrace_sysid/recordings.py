@@ -15,6 +15,7 @@ from scipy import fft, signal
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
+from abrace_core.run import Run
 from abrace_core.sequence import breaks
 from abrace_sysid.spectra.fourier import held_input, transform
 from abrace_sysid.spectra.welch import coherence_of
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from abrace_core.run import Run
+    from abrace_sysid.measured_data import MeasuredData
 
 LEAST_SECONDS = 60.0
 """Shorter tests do not resolve modes of 1 % damping near 1 Hz."""
@@ -91,12 +92,35 @@ def prepare(run: Run, inputs: Sequence[str], band: tuple[float, float], period: 
         clipped, or no channel is a response.
     """
     whole, warnings = longest_piece(run)
-    for name in dict.fromkeys((*whole.names, signals.GROUND, *whole.command_names)):
+    left_out, found = check_channels(whole, inputs, band, period)
+    return Recording(_without_trend(whole, "linear" if period is None else "constant"), left_out, warnings + found)
+
+
+def check_channels(
+    whole: Run | MeasuredData, inputs: Sequence[str], band: tuple[float, float], period: int | None = None
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """The outputs of a test without gaps that are no response, with the reason, and warnings on its channels.
+
+    Parameters
+    ----------
+    whole
+        The test.
+    inputs, band, period
+        As of `prepare`.
+
+    Raises
+    ------
+    AbraceError
+        If a value is not finite, an input is not excited throughout the band or clipped, or no channel is a response.
+    """
+    warnings: tuple[str, ...] = ()
+    others = (signals.GROUND, *whole.command_names) if isinstance(whole, Run) else whole.inputs
+    for name in dict.fromkeys((*whole.names, *others)):
         values = whole.channels([name])[:, 0]
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
             where = f"first at sample {whole.sequence[bad[0]]}"
-            raise AbraceError(f"{run.source}: channel {name} has {len(bad)} values that are not finite, {where}")
+            raise AbraceError(f"{whole.source}: channel {name} has {len(bad)} values that are not finite, {where}")
     for name in inputs:
         require_excited(whole, name, band)
         excitation = held_input(whole, name)
@@ -104,23 +128,23 @@ def prepare(run: Run, inputs: Sequence[str], band: tuple[float, float], period: 
         count = _at_extremes(excitation if period is None else excitation[middle : middle + period])
         if count > CLIPPED_SHARE * len(whole.outputs):
             raise AbraceError(
-                f"{run.source}: input {name} is clipped, {count} of {len(whole.outputs)} samples are at its extremes, "
-                f"expected at most {CLIPPED_SHARE:.1%}"
+                f"{whole.source}: input {name} is clipped, {count} of {len(whole.outputs)} samples are at its "
+                f"extremes, expected at most {CLIPPED_SHARE:.1%}"
             )
         if count:
-            warnings += (f"{run.source}: input {name} is clipped in {count} samples",)
+            warnings += (f"{whole.source}: input {name} is clipped in {count} samples",)
 
     left_out = _dead_channels(whole, inputs, band)
     if len(left_out) == len(whole.names):
         reasons = ", ".join(f"{name} {reason}" for name, reason in left_out.items())
-        raise AbraceError(f"{run.source}: no channel is a response to {' and '.join(inputs)}: {reasons}")
+        raise AbraceError(f"{whole.source}: no channel is a response to {' and '.join(inputs)}: {reasons}")
     for name, reason in left_out.items():
-        warnings += (f"{run.source}: channel {name} is left out: {reason}",)
+        warnings += (f"{whole.source}: channel {name} is left out: {reason}",)
     for name in whole.names:
         count = 0 if name in left_out else _at_extremes(whole.channels([name])[:, 0])
         if count:
-            warnings += (f"{run.source}: channel {name} is clipped in {count} samples",)
-    return Recording(_without_trend(whole, "linear" if period is None else "constant"), left_out, warnings)
+            warnings += (f"{whole.source}: channel {name} is clipped in {count} samples",)
+    return left_out, warnings
 
 
 def longest_piece(run: Run) -> tuple[Run, tuple[str, ...]]:
@@ -166,7 +190,7 @@ def longest_piece(run: Run) -> tuple[Run, tuple[str, ...]]:
     )
 
 
-def require_excited(run: Run, name: str, band: tuple[float, float]) -> None:
+def require_excited(run: Run | MeasuredData, name: str, band: tuple[float, float]) -> None:
     """That an input has power in every tenth of a band.
 
     Parameters
@@ -241,7 +265,7 @@ def _at_extremes(values: NDArray[np.float64]) -> int:
     return int(sum(count for count in counts if count >= CLIPPED_COUNT))
 
 
-def _dead_channels(run: Run, inputs: Sequence[str], band: tuple[float, float]) -> dict[str, str]:
+def _dead_channels(run: Run | MeasuredData, inputs: Sequence[str], band: tuple[float, float]) -> dict[str, str]:
     """Channels that never change, are stuck, or have no coherence with an input anywhere, with the reason."""
     dead = {}
     samples = len(run.outputs)

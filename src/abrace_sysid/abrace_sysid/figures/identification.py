@@ -26,8 +26,16 @@ if TYPE_CHECKING:
     from abrace_sysid.models.reduction import OrderErrors
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
+MOST_NAMED = 16
+"""Channels up to which a legend names each of them."""
 
-def transfer_functions(measured: FrequencyResponse, channels: Sequence[str], fitted: LinearModel) -> Figure:
+
+def transfer_functions(
+    measured: FrequencyResponse,
+    channels: Sequence[str],
+    fitted: LinearModel,
+    units: Mapping[str, str] | None = None,
+) -> Figure:
     """Amplitude and phase of some channels, measured and fitted: Figs. 3, 4 and 5.
 
     Parameters
@@ -38,6 +46,8 @@ def transfer_functions(measured: FrequencyResponse, channels: Sequence[str], fit
         Outputs to show, one column each.
     fitted
         Continuous model; its curve is drawn as sampled, with hold and delay, as the measured one is.
+    units
+        Of measured data, by name; None: those of a rig's signals.
     """
     figure = Figure(figsize=(4.8 * len(channels), 5.6), layout="constrained")
     axes = figure.subplots(2, len(channels), sharex=True, squeeze=False)
@@ -55,7 +65,7 @@ def transfer_functions(measured: FrequencyResponse, channels: Sequence[str], fit
         size = np.abs(points[:, j])
         amplitude.set_ylim(size.min() / 2, size.max() * 2)
         amplitude.set_title(f"{symbol(name)} / {symbol(measured.input)}")
-        amplitude.set_ylabel(f"amplitude [{_ratio_unit(name, measured.input)}]")
+        amplitude.set_ylabel(f"amplitude [{_ratio_unit(name, measured.input, units)}]")
         phase.set_ylabel("phase angle [deg]")
         phase.set_yticks(np.arange(-180, 181, 90))
         phase.set_ylim(-190, 190)
@@ -164,7 +174,8 @@ def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Fig
         axes[1, j].set_xlabel("frequency [Hz]")
     axes[0, 0].set_ylabel("residual over rms response [-]")
     axes[1, 0].set_ylabel("residual over standard deviation [-]")
-    legend_above(figure, axes[0, 0], 8)
+    if max(len(response.outputs) for response in measured) <= MOST_NAMED:
+        legend_above(figure, axes[0, 0], 8)
     for axis in axes.flat:
         axis.grid(alpha=0.3)
     return figure
@@ -263,7 +274,8 @@ def _frequency_and_percent(poles: NDArray[np.complex128]) -> tuple[list[float], 
     return [frequency for frequency, _ in pairs], [100 * ratio for _, ratio in pairs]
 
 
-def _ratio_unit(output: str, input_name: str) -> str:
+def _ratio_unit(output: str, input_name: str, units: Mapping[str, str] | None) -> str:
     """The unit of a transfer function."""
-    above, below = (signals.unit(name).replace("^2", "²") for name in (output, input_name))
+    given = (signals.unit(name) if units is None else units.get(name, "-") for name in (output, input_name))
+    above, below = (unit.replace("^2", "²") for unit in given)
     return f"{above} / ({below})" if "/" in below else f"{above} / {below}"

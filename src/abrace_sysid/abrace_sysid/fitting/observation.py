@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.discretization import HOLDS
 from abrace_core.errors import AbraceError
 from abrace_sysid.fitting.pole_basis import Sampling
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from abrace_sysid.spectra.fourier import Spectra
@@ -36,6 +37,8 @@ class Observation:
         (lines, channels) transforms of the outputs, or transfer functions.
     noise_level
         (lines,) standard deviation of the noise, relative from line to line.
+    inputs
+        Names of the inputs.
     samplings
         How each input moves between samples.
     transient
@@ -50,6 +53,7 @@ class Observation:
     excitation: NDArray[np.complex128]
     measured: NDArray[np.complex128]
     noise_level: NDArray[np.float64]
+    inputs: tuple[str, ...]
     samplings: tuple[Sampling, ...]
     transient: bool
     poles: tuple[int, ...] | None = None
@@ -60,6 +64,23 @@ class Observation:
         dead = [name for name, column in zip(self.outputs, self.measured.T, strict=True) if not np.any(column)]
         if dead:
             raise AbraceError(f"{self.source}: channel {', '.join(dead)} is zero throughout, expected a response")
+
+    @property
+    def seconds(self) -> float:
+        """Length of the record, from the distance of its lines."""
+        return 2 * np.pi * self.samplings[0].sample_period / float(np.median(np.diff(np.angle(self.z))))
+
+    def shown(self, poles: NDArray[np.complex128]) -> tuple[int, ...]:
+        """The indices into `poles` of those that are excited in this test."""
+        return tuple(range(len(poles))) if self.poles is None else self.poles
+
+    def in_units(self, unit: Mapping[str, float]) -> Observation:
+        """The same test with its inputs in other units; `unit` is the size of each by name."""
+        return replace(self, excitation=self.excitation / np.array([unit[name] for name in self.inputs]))
+
+    def with_noise(self, level: NDArray[np.float64]) -> Observation:
+        """The same test with another noise `level` (lines,)."""
+        return replace(self, noise_level=level)
 
     @classmethod
     def of_spectra(cls, spectra: Spectra, source: str) -> Observation:
@@ -72,10 +93,20 @@ class Observation:
         source
             For messages.
         """
-        samplings = tuple(Sampling(spectra.sample_period, HOLDS.get(name, "zero")) for name in spectra.inputs)
+        samplings = tuple(Sampling(spectra.sample_period, hold) for hold in spectra.holds)
         z = np.exp(1j * spectra.omega * spectra.sample_period)
         level = np.ones(len(z))
-        return cls(source, spectra.outputs, z, spectra.excitation, spectra.outputs_spectrum, level, samplings, True)
+        return cls(
+            source,
+            spectra.outputs,
+            z,
+            spectra.excitation,
+            spectra.outputs_spectrum,
+            level,
+            spectra.inputs,
+            samplings,
+            True,
+        )
 
     @classmethod
     def of_response(cls, measured: FrequencyResponse, source: str) -> Observation:
@@ -95,7 +126,7 @@ class Observation:
         level = np.sqrt(np.mean(relative**2, axis=1))
         known = level > 0
         level = np.where(known, level, level[known].min()) if known.any() else np.ones(len(level))
-        sampling = Sampling(measured.sample_period, HOLDS.get(measured.input, "zero"))
+        sampling = Sampling(measured.sample_period, measured.held)
         z = np.exp(1j * measured.omega * measured.sample_period)
         ones = np.ones((len(z), 1), dtype=np.complex128)
-        return cls(source, measured.outputs, z, ones, measured.response, level, (sampling,), False)
+        return cls(source, measured.outputs, z, ones, measured.response, level, (measured.input,), (sampling,), False)

@@ -20,7 +20,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from abrace_core.discretization import Hold
+    from abrace_sysid.spectra.holds import InputHold
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,11 @@ class Sampling:
     sample_period
         T [s].
     hold
-        "zero" (held) or "first" (linear).
+        "zero" (held), "first" (linear) or "band" (band-limited).
     """
 
     sample_period: float
-    hold: Hold = "zero"
+    hold: InputHold = "zero"
 
     def response(
         self, pole: complex, z: NDArray[np.complex128]
@@ -51,6 +51,9 @@ class Sampling:
             (lines,) exp(i w T).
         """
         period = self.sample_period
+        if self.hold == "band":
+            response = np.asarray(1 / (1j * np.angle(z) / period - pole), dtype=np.complex128)
+            return response, response * response
         a = np.exp(pole * period)
         step, step_slope = _step(pole, period)
         below = 1 / (z - a)
@@ -76,3 +79,8 @@ def _step(pole: complex, span: float) -> tuple[complex, complex]:
     """The state that a unit step leaves after `span` seconds, (exp(p span) - 1) / p, and its derivative with p."""
     step = np.expm1(pole * span) / pole
     return step, (span * np.exp(pole * span) - step) / pole
+
+
+def sides_of(pole: complex) -> tuple[complex, ...]:
+    """The `pole` of a pair and its conjugate, or a real pole alone."""
+    return (pole, pole.conjugate()) if pole.imag > 0 else (pole.real,)

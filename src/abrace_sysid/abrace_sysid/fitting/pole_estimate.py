@@ -62,6 +62,14 @@ class PoleEstimate:
         Poles' parts, coefficients and noise levels.
     iterations
         Steps taken.
+    inputs, outputs
+        Names.
+    drive
+        (poles, inputs) complex: how much each input drives each mode, q' = p q + drive u; real of a real pole.
+    shapes
+        (channels, poles) complex: the outputs are the real part of shapes q, and
+    direct
+        (channels, inputs) of the inputs themselves.
     """
 
     poles: NDArray[np.complex128]
@@ -70,6 +78,11 @@ class PoleEstimate:
     observed: int
     unknowns: int
     iterations: int
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    drive: NDArray[np.complex128]
+    shapes: NDArray[np.complex128]
+    direct: NDArray[np.float64]
 
     @property
     def mdl(self) -> float:

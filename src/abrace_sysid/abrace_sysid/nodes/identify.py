@@ -1,39 +1,39 @@
-"""The node `identify`: bags of tests on the table and with the actuators to models, with figures."""
+"""The node `identify`: bags of tests on the table and with the actuators, or measured data, to models, with figures."""
 
 from __future__ import annotations
 
-import json
-import math
 import time
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 from abrace_bags import read_runs
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
 from abrace_core.linear_model import export_mat, save_model
 from abrace_core.node import AbraceNode, Parameter, run
+from abrace_sysid.data_identification import DataOptions, identify_data
+from abrace_sysid.data_results import write_data_results
 from abrace_sysid.figures import identification as figures
+from abrace_sysid.figures.data import figures_of_data
 from abrace_sysid.fitting.options import FIT_METHODS, IdentificationOptions
-from abrace_sysid.fitting.pole_estimate import PoleInterval
 from abrace_sysid.fitting.stabilization import stabilization
 from abrace_sysid.identification import Identification, identify
+from abrace_sysid.measured_data import DataHold, read_data, units_of
 from abrace_sysid.models.reduction import errors_by_order, typical_scales
+from abrace_sysid.pole_results import poles_text, write_poles
 from abrace_sysid.spectra.estimation import Method, TransferFunctionOptions
 from abrace_sysid.spectra.welch import Estimator
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 DEFAULTS = IdentificationOptions()
 METHOD = DEFAULTS.transfer_function
 TRANSFER_FUNCTION = ("method", "segment", "window", "overlap", "estimator", "order", "half_width")
 
 PARAMETERS = [
-    Parameter(
-        "table", [], "bag, or list of bags, of tests with noise or a multisine on the table", element=str, required=True
-    ),
-    Parameter(
-        "command", [], "likewise with the command; the same bags where both were excited", element=str, required=True
-    ),
+    Parameter("table", [], "bag, or list of bags, of tests with noise or a multisine on the table", element=str),
+    Parameter("command", [], "likewise with the command; the same bags where both were excited", element=str),
     Parameter("output", "", "folder for models, poles and figures", required=True),
     Parameter("fit", DEFAULTS.fit, "of the poles", choices=FIT_METHODS),
     Parameter("method", METHOD.method, "of the transfer functions", choices=get_args(Method)),
@@ -48,6 +48,15 @@ PARAMETERS = [
     Parameter("command_order", DEFAULTS.command_order, "oscillating poles of the response to the command", minimum=2),
     Parameter("servo_lag", DEFAULTS.servo_lag, "s, of the actuators, from the bench test", minimum=0.0),
     Parameter("reduced_order", DEFAULTS.reduced_order, "states of the reduced model", minimum=1),
+    Parameter("data", "", "file of measured data (.mat, .csv, .npz, .npy) in place of bags"),
+    Parameter("inputs", [], "of data: names of the columns that were excited", element=str),
+    Parameter("outputs", [], "of data: names of the columns that answer; none: all others", element=str),
+    Parameter("sample_rate", 0.0, "Hz, of data without a time column", minimum=0.0),
+    Parameter("time", "", "of data: name of the column of times in s"),
+    Parameter("units", [], "of data: NAME=UNIT of columns, for figures", element=str),
+    Parameter("hold", "band", "of data: inputs band-limited, or held between samples", choices=get_args(DataHold)),
+    Parameter("band", [], "Hz, of data; none: ten lines to half the sample rate", element=float, minimum=0.0),
+    Parameter("held_out", 0.0, "share at the end of data that is not used but predicted", minimum=0.0, maximum=0.8),
     Parameter("stabilization", False, "draw stabilisation diagrams of both tests too"),
     Parameter("mat", False, "write the models as MATLAB files too"),
 ]
@@ -60,13 +69,49 @@ class Identify(AbraceNode):
         super().__init__("identify", PARAMETERS)
 
     def work(self) -> None:
-        """Read, identify, write, draw."""
+        """From bags or from data."""
         given = self.parameters
         begin = time.monotonic()
 
         def progress(step: str, fraction: float) -> None:
             print(f"{fraction:4.0%} {step} ({time.monotonic() - begin:.1f} s)", flush=True)
 
+        bags = {"table": given.table, "command": given.command}
+        if given.data:
+            for name, value in bags.items():
+                if value:
+                    raise AbraceError(f"parameter {name}: {value}, expected none beside data {given.data}")
+            self.from_data(progress)
+            return
+        for name, value in bags.items():
+            if not any(value):
+                raise AbraceError(f"parameter {name}: {value}, expected a bag or a list of bags, or data")
+        self.from_bags(progress)
+
+    def from_data(self, progress: Callable[[str, float], None]) -> None:
+        """Read, identify, judge by what was held out, write, draw."""
+        given = self.parameters
+        progress("reading the data", 0.0)
+        units = units_of(given.units)
+        named = (list(filter(None, given.inputs)), list(filter(None, given.outputs)))
+        data = read_data(given.data, *named, given.sample_rate, given.time, units, given.hold)
+        options = DataOptions(
+            band=_band("band", given.band) if given.band else None,
+            transfer_function=TransferFunctionOptions(**{name: getattr(given, name) for name in TRANSFER_FUNCTION}),
+        )
+        kept = round((1 - given.held_out) * len(data.outputs))
+        found = identify_data(data.part(0, kept), options, progress)
+        for warning in found.warnings:
+            self.get_logger().warning(warning)
+        print(write_data_results(found, data.part(kept, len(data.outputs)), Path(given.output), given.mat))
+        progress("drawing", 1.0)
+        for name, figure in figures_of_data(found).items():
+            save_figure(figure, Path(given.output) / f"{name}.png")
+        print(f"wrote {given.output}")
+
+    def from_bags(self, progress: Callable[[str, float], None]) -> None:
+        """Read, identify, write, draw."""
+        given = self.parameters
         progress("reading the bags", 0.0)
         runs = {bag: read_runs(bag) for bag in dict.fromkeys((*given.table, *given.command))}
         for recorded in runs.values():
@@ -95,13 +140,10 @@ class Identify(AbraceNode):
             "command": found.poles.command_pairs,
             "common": found.poles.common_pairs,
         }
-        poles = {test: [_as_json(pair) for pair in values] for test, values in pairs.items()}
-        write_text(output / "poles.json", json.dumps(poles, indent=1) + "\n")
+        write_poles(pairs, output / "poles.json")
         for test, values in pairs.items():
             print(f"poles from {'both tests' if test == 'common' else f'the {test} test'} (rad/s, damping ratio):")
-            for pair in values:
-                frequency = _text(pair.frequency, pair.frequency_deviation)
-                print(f"  {frequency}  {_text(pair.damping, pair.damping_deviation)}")
+            print(poles_text(values))
         progress("drawing", 1.0)
         self.draw(found, options, output)
         print(f"wrote {output}")
@@ -149,23 +191,6 @@ def _band(name: str, value: list[float]) -> tuple[float, float]:
     if len(value) != 2:
         raise AbraceError(f"parameter {name}: {value}, expected two frequencies in Hz")
     return value[0], value[1]
-
-
-def _as_json(pair: PoleInterval) -> dict[str, Any]:
-    values = {
-        "frequency": pair.frequency,
-        "damping_ratio": pair.damping,
-        "frequency_deviation": pair.frequency_deviation,
-        "damping_ratio_deviation": pair.damping_deviation,
-    }
-    return {name: value if math.isfinite(value) else None for name, value in values.items()}
-
-
-def _text(value: float, deviation: float) -> str:
-    """A value with its 95 % interval, where there is one."""
-    if not math.isfinite(deviation):
-        return f"{value:10.5f}"
-    return f"{value:10.5f} +- {1.96 * deviation:.2g}".ljust(22)
 
 
 def main() -> int:

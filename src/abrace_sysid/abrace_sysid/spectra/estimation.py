@@ -10,14 +10,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from abrace_core.errors import AbraceError
-from abrace_sysid.spectra.fourier import LEAST_BANDWIDTH, ORDER, automatic_half_width, runs_of_one_rig
+from abrace_sysid.spectra.fourier import LEAST_BANDWIDTH, ORDER, Test, automatic_half_width, runs_of_one_rig
 from abrace_sysid.spectra.local_polynomial import local_responses
 from abrace_sysid.spectra.welch import Estimator, welch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from abrace_core.run import Run
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 LONGEST_SEGMENT = 32768
@@ -67,7 +66,7 @@ class TransferFunctionOptions:
 
 
 def frequency_responses(
-    run: Run | Sequence[Run],
+    run: Test | Sequence[Test],
     inputs: Sequence[str],
     band: tuple[float, float],
     options: TransferFunctionOptions | None = None,

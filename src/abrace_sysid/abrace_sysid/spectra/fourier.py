@@ -8,19 +8,26 @@ sec. 2.6).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from scipy import fft
 
 from abrace_core.errors import AbraceError
 from abrace_core.run import Run
+from abrace_sysid.measured_data import MeasuredData
+from abrace_sysid.spectra.holds import hold_of
 from abrace_sysid.spectra.local_regression import least_half_width
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
+
+    from abrace_sysid.spectra.holds import InputHold
+
+Test = TypeVar("Test", Run, MeasuredData)
+"""A test of a rig, or measured data."""
 
 ORDER = 2
 """Of the numerators' and transients' polynomials in local rational fits: as good as higher ones, with less noise."""
@@ -45,6 +52,8 @@ class Spectra:
         (lines, channels) complex: of the outputs, in the same scale.
     sample_period
         Seconds.
+    holds
+        How each input moves between samples.
     """
 
     inputs: tuple[str, ...]
@@ -53,6 +62,7 @@ class Spectra:
     excitation: NDArray[np.complex128]
     outputs_spectrum: NDArray[np.complex128]
     sample_period: float
+    holds: tuple[InputHold, ...]
 
     def select(self, outputs: Sequence[str]) -> Spectra:
         """The same spectra with only these outputs, in this order."""
@@ -60,7 +70,7 @@ class Spectra:
         return replace(self, outputs=tuple(outputs), outputs_spectrum=self.outputs_spectrum[:, columns])
 
 
-def spectra_of(run: Run, inputs: Sequence[str], band: tuple[float, float]) -> Spectra:
+def spectra_of(run: Run | MeasuredData, inputs: Sequence[str], band: tuple[float, float]) -> Spectra:
     """The spectra of a whole test.
 
     Parameters
@@ -79,7 +89,8 @@ def spectra_of(run: Run, inputs: Sequence[str], band: tuple[float, float]) -> Sp
     """
     lines, omega = lines_within(run, len(run.outputs), band)
     excitation = transform(np.column_stack([held_input(run, name) for name in inputs]))[lines]
-    return Spectra(tuple(inputs), run.names, omega, excitation, transform(run.outputs)[lines], run.sample_period)
+    holds = tuple(hold_of(run, name) for name in inputs)
+    return Spectra(tuple(inputs), run.names, omega, excitation, transform(run.outputs)[lines], run.sample_period, holds)
 
 
 def automatic_half_width(seconds: float, inputs: int = 1, bandwidth: float = LEAST_BANDWIDTH) -> int:
@@ -101,7 +112,7 @@ def automatic_half_width(seconds: float, inputs: int = 1, bandwidth: float = LEA
     return int(np.clip(round(reach), least_half_width(ORDER, inputs) + 3, 20))
 
 
-def runs_of_one_rig(run: Run | Sequence[Run]) -> tuple[Run, ...]:
+def runs_of_one_rig(run: Test | Sequence[Test]) -> tuple[Test, ...]:
     """One `run` or several as a tuple.
 
     Raises
@@ -109,7 +120,7 @@ def runs_of_one_rig(run: Run | Sequence[Run]) -> tuple[Run, ...]:
     AbraceError
         If there is none, or their channels or sample periods differ.
     """
-    runs = (run,) if isinstance(run, Run) else tuple(run)
+    runs = (run,) if isinstance(run, Run | MeasuredData) else tuple(run)
     if not runs:
         raise AbraceError("transfer functions: no test, expected at least one")
     for other in runs[1:]:
@@ -122,14 +133,16 @@ def runs_of_one_rig(run: Run | Sequence[Run]) -> tuple[Run, ...]:
     return runs
 
 
-def held_input(run: Run, name: str) -> NDArray[np.float64]:
+def held_input(run: Run | MeasuredData, name: str) -> NDArray[np.float64]:
     """(samples,) the input `name` of `run`: the ground acceleration at each sample, or the command held from it on."""
-    if name in run.command_names:
+    if isinstance(run, Run) and name in run.command_names:
         return run.command_from_here[:, run.command_names.index(name)]
     return run.channels([name])[:, 0]
 
 
-def lines_within(run: Run, samples: int, band: tuple[float, float]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def lines_within(
+    run: Run | MeasuredData, samples: int, band: tuple[float, float]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Numbers and angular frequencies [rad/s] of the lines of a transform within a band.
 
     Parameters

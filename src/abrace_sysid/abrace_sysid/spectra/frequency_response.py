@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from abrace_core.discretization import Hold
     from abrace_core.linear_model import LinearModel
+    from abrace_sysid.spectra.holds import InputHold
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,8 @@ class FrequencyResponse:
         Seconds.
     method
         How it was estimated, in words.
+    hold
+        How the input moves between samples; None: as the rig's of that name does.
     """
 
     input: str
@@ -52,6 +55,12 @@ class FrequencyResponse:
     sigma: NDArray[np.float64]
     sample_period: float
     method: str
+    hold: InputHold | None = None
+
+    @property
+    def held(self) -> InputHold:
+        """How the input moves between samples."""
+        return self.hold or HOLDS.get(self.input, "zero")
 
     def select(self, outputs: Sequence[str]) -> FrequencyResponse:
         """The same estimate with only these outputs, in this order."""
@@ -96,5 +105,7 @@ def sampled_response(model: LinearModel, measured: FrequencyResponse) -> NDArray
     measured
         Whose input, lines and sample period are used.
     """
+    if measured.held == "band":
+        return model.select(inputs=[measured.input]).frequency_response(measured.omega)[:, :, 0]
     sampled = discretize(model.select(inputs=[measured.input]), measured.sample_period)
     return sampled.frequency_response(measured.omega)[:, :, 0]

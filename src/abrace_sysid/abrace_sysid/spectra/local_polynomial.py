@@ -13,16 +13,18 @@ import numpy as np
 from abrace_core.errors import AbraceError
 from abrace_sysid.spectra.fourier import held_input, lines_within, transform
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
+from abrace_sysid.spectra.holds import hold_of
 from abrace_sysid.spectra.local_regression import fit_locally
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from abrace_core.run import Run
+    from abrace_sysid.measured_data import MeasuredData
 
 
 def local_responses(
-    runs: Sequence[Run],
+    runs: Sequence[Run] | Sequence[MeasuredData],
     inputs: Sequence[str],
     band: tuple[float, float],
     order: int,
@@ -79,6 +81,7 @@ def local_responses(
             np.ascontiguousarray(sigma[:, :, i]),
             runs[0].sample_period,
             method,
+            hold_of(runs[0], name),
         )
         for i, name in enumerate(inputs)
     )

@@ -12,8 +12,9 @@ import numpy as np
 from scipy import fft, signal
 
 from abrace_core.errors import AbraceError
-from abrace_sysid.spectra.fourier import held_input, lines_within, runs_of_one_rig
+from abrace_sysid.spectra.fourier import Test, held_input, lines_within, runs_of_one_rig
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
+from abrace_sysid.spectra.holds import hold_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,12 +22,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_core.run import Run
+    from abrace_sysid.measured_data import MeasuredData
 
 Estimator = Literal["H1", "H2", "Hv"]
 
 
 def welch(
-    run: Run | Sequence[Run],
+    run: Test | Sequence[Test],
     input_name: str,
     band: tuple[float, float],
     segment: int = 32768,
@@ -83,11 +85,12 @@ def welch(
         ratio = np.divide(1.0, excess, out=np.full_like(excess, np.inf), where=excess > 0)
         response, sigma = response * ratio, sigma * ratio
     method = f"Welch, {estimator}, {window}, overlap {overlap:g}, {segment} points"
-    return FrequencyResponse(input_name, runs[0].names, omega, response, sigma, runs[0].sample_period, method)
+    hold = hold_of(runs[0], input_name)
+    return FrequencyResponse(input_name, runs[0].names, omega, response, sigma, runs[0].sample_period, method, hold)
 
 
 def coherence_of(
-    run: Run, input_name: str, band: tuple[float, float], segment: int
+    run: Run | MeasuredData, input_name: str, band: tuple[float, float], segment: int
 ) -> tuple[NDArray[np.float64], float]:
     """(lines, channels) coherence of a test's outputs with an input, Hann window and half overlap, and the averages.
 
@@ -109,7 +112,11 @@ def coherence_of(
 
 
 def _averaged(
-    runs: tuple[Run, ...], input_name: str, lines: NDArray[np.int64], taper: NDArray[np.float64], step: int
+    runs: tuple[Run | MeasuredData, ...],
+    input_name: str,
+    lines: NDArray[np.int64],
+    taper: NDArray[np.float64],
+    step: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64], float]:
     """Sums of the input's power (lines, 1), the cross spectra and the outputs' powers (lines, channels); averages."""
     segment, averages = len(taper), 0.0

@@ -1,0 +1,29 @@
+"""The figures of an identification from measured data."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from abrace_sysid.figures import identification as figures
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from abrace_sysid.data_identification import DataIdentification
+
+SHOWN = 3
+"""Outputs of which transfer functions are drawn."""
+
+
+def figures_of_data(found: DataIdentification) -> dict[str, Figure]:
+    """By name: transfer functions from each input, residuals, and the intervals of the modes of `found`."""
+    shown = found.model.outputs[:SHOWN]
+    drawn = {
+        f"transfer_functions_{response.input}": figures.transfer_functions(
+            response, shown, found.model, found.data.units
+        )
+        for response in found.responses
+    }
+    drawn["residuals"] = figures.residuals(found.responses, found.model)
+    drawn["confidence"] = figures.confidence({"data": found.pairs})
+    return drawn

@@ -1,0 +1,216 @@
+"""The likelihood of recorded tests near one set of modes, to second order; `maximum_likelihood` climbs it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import linalg
+
+from abrace_sysid.fitting.condensed_lines import condensed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_sysid.fitting.condensed_lines import CondensedLines
+    from abrace_sysid.fitting.modes import Modes
+    from abrace_sysid.fitting.observation import Observation
+
+FASTEST = 8.0
+"""Greatest decay (or growth) of a pole within a sample, as exponent: faster ones are no poles of a sampled rig."""
+
+DEGENERATE = 1e-12
+"""Share of a basis column that is independent of the others, below which two poles coincide."""
+
+REWEIGHTINGS = 8
+"""Most fits of a channel that several tests share, each with the noise that the last one left over in each test."""
+
+SAME_NOISE = 1e-3
+"""Relative change of these levels that ends the fits."""
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """One channel in all tests: its coefficients, noise power in each test, and what the poles' slopes leave."""
+
+    coefficients: NDArray[np.float64]
+    power: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    slopes: NDArray[np.float64]
+    projection: NDArray[np.float64]
+    triangle: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """The likelihood of all tests near some modes.
+
+    Parameters
+    ----------
+    modes
+        Where it is.
+    normal, gradient
+        Of half the cost with the parameters of `Modes.parameters`, in Gauss and Newton's approximation.
+    cost
+        -2 log likelihood, less a constant.
+    """
+
+    modes: Modes
+    tests: tuple[CondensedLines, ...]
+    channels: tuple[_Channel, ...]
+    normal: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+    cost: float
+
+    @classmethod
+    def at(cls, observations: Sequence[Observation], inputs: Sequence[str], modes: Modes) -> Likelihood | None:
+        """None where it is not defined: poles that coincide or are too fast, or a pair that crossed the real axis.
+
+        Parameters
+        ----------
+        observations
+            The tests.
+        inputs
+            Names of all inputs.
+        modes
+            Where it is taken.
+        """
+        exponents = modes.poles * observations[0].samplings[0].sample_period
+        highest = 10 * np.pi if observations[0].samplings[0].hold == "band" else np.pi
+        slow_enough = (np.abs(exponents.real) <= FASTEST * (1 + 1e-9)) & (np.abs(exponents.imag) < highest)
+        if not (slow_enough & (modes.poles != 0)).all():
+            return None
+        tests = condensed(observations, inputs, modes)
+        parameters = modes.parameters()[-1][2].stop
+        channels = fit_channels(tests, parameters)
+        if channels is None:
+            return None
+        normal, gradient, cost = np.zeros((parameters, parameters)), np.zeros(parameters), 0.0
+        for channel in channels:
+            normal += channel.slopes.T @ channel.slopes
+            gradient += channel.slopes.T @ channel.residual
+            lines = np.array([len(test.measured) for test in tests])
+            cost += float(lines @ np.log(np.maximum(channel.power, np.finfo(float).tiny)))
+        if not np.diag(normal).min() > 0:
+            return None
+        return cls(modes, tests, channels, normal, gradient, cost)
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """(parameters,) all but those of fixed poles."""
+        free = np.ones(len(self.gradient), dtype=np.bool_)
+        for mode, direction, columns in self.modes.parameters():
+            if direction is None and self.modes.fixed[mode]:
+                free[columns] = False
+        return free
+
+    def step(self, damping: float, fastest: float) -> NDArray[np.float64]:
+        """Step of the parameters by Levenberg and Marquardt, shortened by `damping` of each one's own curvature.
+
+        A real pole that is as fast as can be told (`fastest`, [rad/s]) and would be faster stays where it is.
+        """
+        free = self.free
+        for mode, direction, columns in self.modes.parameters():
+            if direction is None and self.modes.poles[mode] == -fastest and self.gradient[columns.start] < 0:
+                free[columns] = False
+        unit = 1 / np.sqrt(np.diag(self.normal)[free])
+        scaled = self.normal[np.ix_(free, free)] * np.outer(unit, unit)
+        step = np.zeros(len(free))
+        step[free] = unit * linalg.solve(
+            scaled + damping * np.eye(len(unit)), unit * self.gradient[free], assume_a="pos"
+        )
+        return step
+
+    def size(self, step: NDArray[np.float64]) -> float:
+        """Length of a step in standard deviations."""
+        return float(np.sqrt(step @ self.normal @ step))
+
+    def covariance(self) -> NDArray[np.float64]:
+        """Of the parameters, from each line's own residuals (White 1980; MacKinnon and White 1985, HC3); 0: fixed."""
+        free = np.ix_(self.free, self.free)
+        unit = 1 / np.sqrt(np.diag(self.normal)[self.free])
+        inverse = np.zeros_like(self.normal)
+        inverse[free] = np.linalg.inv(self.normal[free] * np.outer(unit, unit)) * np.outer(unit, unit)
+        parameters = len(self.gradient)
+        scatter = np.zeros_like(self.normal)
+        for i, test in enumerate(self.tests):
+            lines = len(test.measured) // 2
+            score = np.zeros((2 * lines, parameters))
+            leverage = np.zeros(2 * lines)
+            for c, channel in enumerate(self.channels):
+                own = channel.coefficients[test.columns]
+                slopes = test.slopes @ test.combination(channel.coefficients, parameters)
+                slopes -= test.basis @ channel.projection[test.columns]
+                residual = test.measured[:, c] - test.basis @ own
+                score += slopes * (residual / channel.power[i])[:, None]
+                weighted = test.basis / np.sqrt(channel.power[i])
+                if len(self.tests) > 1 or not c:
+                    inside = linalg.solve_triangular(channel.triangle, np.eye(len(channel.triangle)))[test.columns]
+                    leverage += np.sum((weighted @ inside) ** 2, axis=1)
+            leverage /= len(self.channels) if len(self.tests) > 1 else 1
+            line = (leverage[:lines] + leverage[lines:]) / 2
+            clusters = (score[:lines] + score[lines:]) / (1 - np.minimum(line, 0.9))[:, None]
+            scatter += clusters.T @ clusters
+        return np.asarray(inverse @ scatter @ inverse)
+
+
+def fit_channels(tests: Sequence[CondensedLines], parameters: int) -> tuple[_Channel, ...] | None:
+    """Every channel's coefficients in all `tests`, residuals and slopes (with all `parameters`) in units of its noise.
+
+    None if the basis is degenerate.
+    """
+    total = 1 + max(int(test.columns.max()) for test in tests)
+    lines = np.array([len(test.measured) for test in tests])
+    ends = np.cumsum([len(test.small) for test in tests])[:-1]
+    one = _factor(tests, np.ones(1), total) if len(tests) == 1 else None
+    found = []
+    for c in range(tests[0].measured.shape[1]):
+        small = [test.parts[2][:, c] for test in tests]
+        level = np.array([np.linalg.norm(part) for part in small]) / np.sqrt(lines)
+        for _ in range(REWEIGHTINGS):
+            relative = level / level[0]
+            factor = one if len(tests) == 1 else _factor(tests, relative, total)
+            if factor is None:
+                return None
+            q, r, scale = factor
+            weighted = np.concatenate([part / weight for part, weight in zip(small, relative, strict=True)])
+            projected = q.T @ weighted
+            left = weighted - q @ projected
+            power = np.array([piece @ piece for piece in np.split(left, ends)]) / lines
+            level = np.maximum(relative * np.sqrt(power), np.finfo(float).tiny)
+            if np.abs(level / level[0] / relative - 1).max() < SAME_NOISE:
+                break
+        coefficients = linalg.solve_triangular(r, projected) / scale
+        slopes = np.vstack(
+            [
+                test.parts[1] @ test.combination(coefficients, parameters) / weight
+                for test, weight in zip(tests, relative, strict=True)
+            ]
+        )
+        on_basis = q.T @ slopes
+        projection = linalg.solve_triangular(r, on_basis) / scale[:, None]
+        unit = level[0]
+        slopes = (slopes - q @ on_basis) / unit
+        found.append(_Channel(coefficients, level**2, left / unit, slopes, projection, r * scale / unit))
+    return tuple(found)
+
+
+def _factor(
+    tests: Sequence[CondensedLines], relative: NDArray[np.float64], total: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+    """Q, R and the columns' scales of the tests' bases one above the other, each over its relative noise."""
+    blocks = []
+    for test, weight in zip(tests, relative, strict=True):
+        block = np.zeros((len(test.small), total))
+        block[:, test.columns] = test.parts[0] / weight
+        blocks.append(block)
+    above = np.vstack(blocks)
+    scale = np.linalg.norm(above, axis=0)
+    scale[scale == 0] = 1.0
+    q, r = np.linalg.qr(above / scale)
+    if not np.abs(np.diag(r)).min() > DEGENERATE:
+        return None
+    return q, r, scale

@@ -1,0 +1,236 @@
+"""The number of modes of a structure of which nothing is known: found one by one, kept while they predict.
+
+The first part of a record is fitted, by maximum likelihood; the mode that would lower its cost most, alone and added to
+those found, is looked for on a grid of frequencies and damping ratios and fitted with the others. It is kept if the
+rest of the record, which was not used, is then predicted better (hold-out validation; Ljung 1999, sec. 16.4). A
+description length would count as modes what a nonlinear or drifting peak leaves over of a linear one.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from abrace_core.errors import AbraceError
+from abrace_sysid.fitting.condensed_lines import combined, stacked
+from abrace_sysid.fitting.maximum_likelihood import ITERATIONS, fit_poles
+from abrace_sysid.fitting.pole_basis import sides_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from abrace_sysid.fitting.observation import Observation
+    from abrace_sysid.fitting.pole_estimate import PoleEstimate
+
+DAMPING = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.03, 0.1, 0.3, 1.0)
+"""Damping ratios of the grid; 1: a real pole."""
+
+REACH = 20.0
+"""Half-width of the lines about a mode that show it, in its half-power half-bandwidths."""
+
+LEAST_REACH = 8
+"""The same at least, in lines."""
+
+ABOVE, ABOVE_DAMPING = 1.4, 0.01
+"""Frequency over the band's highest, and damping ratio, of the pairs that stand for all modes above it."""
+
+REFUSALS = 12
+"""So many candidates in a row that do not help end the search."""
+
+NARROWEST = 0.5
+"""Least half-power bandwidth of a mode, in lines: a narrower peak is not resolved."""
+
+ALIKE = 0.5
+"""Greatest distance of the poles that both parts give for a mode, over the sum of their decay rates."""
+
+HEAVIEST = 0.9
+"""Greatest damping ratio: beyond it a pair is hardly to be told from two real poles."""
+
+TRIAL_ITERATIONS = 30
+"""Most steps of a fit with a candidate: one that is a mode takes some ten."""
+
+NEAR = 0.01
+"""Candidates nearer to one that was refused are not tried, as a share of the frequency."""
+
+NEIGHBOURS = 9
+"""Lines over which the level of the residual is averaged."""
+
+
+def fit_with_residual_terms(
+    observation: Observation, poles: NDArray[np.complex128], iterations: int = ITERATIONS
+) -> PoleEstimate:
+    """As `fit_poles`, with what modes above the band leave in it: of each input one pair, whose pole is given.
+
+    Parameters
+    ----------
+    observation
+        The test.
+    poles
+        To start from [rad/s].
+    iterations
+        Steps at most.
+    """
+    count = len(observation.inputs)
+    highest = float(np.angle(observation.z[-1])) / observation.samplings[0].sample_period
+    above = np.full(count, ABOVE * highest * complex(-ABOVE_DAMPING, 1))
+    fixed = np.arange(len(poles) + count) >= len(poles)
+    driven = np.vstack([np.ones((len(poles), count), dtype=np.bool_), np.eye(count, dtype=np.bool_)])
+    return fit_poles([observation], np.concatenate([poles, above]), driven, fixed, iterations)
+
+
+def search_modes(
+    halves: tuple[Observation, Observation], most: int, progress: Callable[[int], None] = lambda _pairs: None
+) -> NDArray[np.complex128]:
+    """(modes,) upper poles of the pairs that help to predict [rad/s].
+
+    Parameters
+    ----------
+    halves
+        Two parts of a record: modes are fitted to each and judged by the other.
+    most
+        Pairs at most.
+    progress
+        Called with the number of pairs found.
+
+    Raises
+    ------
+    AbraceError
+        If not one pair can be fitted.
+    """
+    found = [np.zeros(0, dtype=np.complex128) for _ in halves]
+    costs = [np.inf for _ in halves]
+    residuals = [half.measured / np.sqrt(np.mean(np.abs(half.measured) ** 2, axis=0)) for half in halves]
+    refused: list[complex] = []
+    reason = "none helps to predict"
+    while len(found[0]) < most and len(refused) < REFUSALS:
+        candidate = _strongest(halves[0], residuals[0], refused)
+        refused.append(candidate)
+        try:
+            trials = [
+                fit_with_residual_terms(half, np.append(poles, candidate), TRIAL_ITERATIONS)
+                for half, poles in zip(halves, found, strict=True)
+            ]
+            judged = [prediction(trial, half)[0] for trial, half in zip(trials, halves[::-1], strict=True)]
+        except AbraceError as error:
+            reason = str(error)
+            continue
+        number = len(found[0])
+        better = all(cost < before for cost, before in zip(judged, costs, strict=True))
+        if better and _same(trials[0].poles[number], trials[1].poles[number], halves[0].seconds):
+            costs, found, refused = judged, [trial.poles[: number + 1] for trial in trials], []
+            residuals = [prediction(trial, half)[1] for trial, half in zip(trials, halves, strict=True)]
+            progress(number + 1)
+    if not len(found[0]):
+        raise AbraceError(f"{halves[0].source}: no mode could be fitted: {reason}")
+    return np.asarray((found[0] + found[1]) / 2)
+
+
+def _same(one: complex, other: complex, seconds: float) -> bool:
+    """Whether two records of that length show the same mode, one that they can resolve."""
+    half_widths = abs(one.real) + abs(other.real)
+    if HEAVIEST < max(-one.real / abs(one), -other.real / abs(other)) < 1:
+        return False
+    return half_widths > NARROWEST * 2 * np.pi / seconds and abs(one - other) < ALIKE * half_widths
+
+
+def prediction(estimate: PoleEstimate, observation: Observation) -> tuple[float, NDArray[np.complex128]]:
+    """How badly a test is predicted, its transient alone being free.
+
+    Parameters
+    ----------
+    estimate
+        From another test, or part of it.
+    observation
+        The test to predict.
+
+    Returns
+    -------
+    cost, residual
+        -2 log likelihood, less a constant; (lines, channels) in units of each channel's noise.
+    """
+    z = observation.z
+    simulated = observation.excitation @ estimate.direct.T
+    transients: list[NDArray[np.complex128]] = []
+    for mode, pole in enumerate(estimate.poles):
+        sides = sides_of(pole)
+        states = [
+            np.column_stack(
+                [
+                    excitation * sampling.response(side, z)[0]
+                    for sampling, excitation in zip(observation.samplings, observation.excitation.T, strict=True)
+                ]
+            )
+            for side in sides
+        ]
+        parts = (estimate.shapes[:, mode].real, estimate.shapes[:, mode].imag)
+        for state, part in zip(combined(states, estimate.drive[mode]), parts, strict=False):
+            simulated = simulated + np.outer(state, part)
+    for pole in dict.fromkeys(estimate.poles):
+        sides = sides_of(pole)
+        transients += combined([observation.samplings[0].transient(side, z)[0][:, None] for side in sides], np.ones(1))
+    weight = 1 / observation.noise_level[:, None]
+    left = stacked((observation.measured - simulated) * weight)
+    if observation.transient:
+        q, _ = np.linalg.qr(stacked(np.column_stack(transients) * weight))
+        left = left - q @ (q.T @ left)
+    power = np.maximum(np.mean(left**2, axis=0), np.finfo(float).tiny)
+    scaled = left / np.sqrt(power)
+    return float(len(left) * np.sum(np.log(power))), scaled[: len(z)] + 1j * scaled[len(z) :]
+
+
+def weighed(observation: Observation, estimate: PoleEstimate) -> Observation:
+    """A test whose lines weigh by what a fit leaves over about them, in all channels.
+
+    At a resonance that is more: noise of the measured inputs goes through the structure, and no peak is quite linear.
+
+    Parameters
+    ----------
+    observation
+        The test.
+    estimate
+        Fitted to it.
+    """
+    _, residual = prediction(estimate, observation)
+    power = np.mean(np.abs(residual) ** 2, axis=1) * observation.noise_level**2
+    level = np.sqrt(uniform_filter1d(power, NEIGHBOURS))
+    return observation.with_noise(level / np.median(level))
+
+
+def _strongest(observation: Observation, residual: NDArray[np.complex128], refused: list[complex]) -> complex:
+    """The pole on the grid that explains most of a residual (lines, channels), away from those refused."""
+    omega = np.angle(observation.z) / observation.samplings[0].sample_period
+    spacing = float(np.median(np.diff(omega)))
+    rows = 2 * len(omega)
+    best, found = -np.inf, 0j
+    for damping in DAMPING:
+        w = omega[0]
+        while w <= omega[-1]:
+            pole = w * complex(-damping, np.sqrt(1 - damping**2))
+            frequency, w = w, w + max(spacing, damping * w)
+            if any(abs(pole - other) < 2 * spacing + max(damping, NEAR) * frequency for other in refused):
+                continue
+            reach = max(REACH * damping * frequency, LEAST_REACH * spacing)
+            chosen = slice(*np.searchsorted(omega, [frequency - reach, frequency + reach]))
+            basis = stacked(_columns(observation, pole, chosen))
+            q, _ = np.linalg.qr(basis)
+            explained = np.sum((q.T @ stacked(residual[chosen])) ** 2, axis=0)
+            gain = -float(np.sum(np.log(np.maximum(1 - 2 * explained / rows, 1e-9))))
+            if gain > best:
+                best, found = gain, pole
+    return found
+
+
+def _columns(observation: Observation, pole: complex, chosen: slice) -> NDArray[np.complex128]:
+    """(lines, columns) of one mode alone: its states to each input, and its transient."""
+    z, excitation = observation.z[chosen], observation.excitation[chosen]
+    columns = []
+    for sampling, drive in zip(observation.samplings, excitation.T, strict=True):
+        columns += combined([(drive * sampling.response(side, z)[0])[:, None] for side in sides_of(pole)], np.ones(1))
+    if observation.transient:
+        leaks = [observation.samplings[0].transient(side, z)[0][:, None] for side in sides_of(pole)]
+        columns += combined(leaks, np.ones(1))
+    return np.column_stack(columns)

@@ -1,0 +1,72 @@
+"""Modes: poles, and how much each input drives them; the parameters that a likelihood is climbed with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import linalg
+
+from abrace_sysid.fitting.pole_estimate import columns_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Poles, and what each input drives of them.
+
+    Parameters
+    ----------
+    poles
+        (poles,) [rad/s], of each pair the one above the real axis, and real ones.
+    drive
+        (poles, inputs) complex, of a real pole real; rows of unit length over the inputs in `driven`, zero elsewhere.
+    driven
+        (poles, inputs) whether an input drives a mode.
+    fixed
+        (poles,) whether a pole stays where it is.
+    """
+
+    poles: NDArray[np.complex128]
+    drive: NDArray[np.complex128]
+    driven: NDArray[np.bool_]
+    fixed: NDArray[np.bool_]
+
+    def directions(self, mode: int) -> NDArray[np.complex128]:
+        """(inputs, directions) orthonormal, orthogonal to the mode's drive: where it can move; real of a real pole."""
+        inputs = np.flatnonzero(self.driven[mode])
+        found = np.zeros((self.driven.shape[1], max(0, len(inputs) - 1)), dtype=np.complex128)
+        if found.size:
+            own = self.drive[mode, inputs].conj()[None]
+            found[inputs] = linalg.null_space(own if self.poles[mode].imag > 0 else own.real)
+        return found
+
+    def parameters(self) -> list[tuple[int, int | None, slice]]:
+        """Mode, direction of its drive (None: the pole itself) and columns of each parameter, the poles first."""
+        found: list[tuple[int, int | None, slice]] = [(k, None, s) for k, s in enumerate(columns_of(self.poles))]
+        end = found[-1][2].stop
+        for mode, pole in enumerate(self.poles):
+            for direction in range(max(0, int(self.driven[mode].sum()) - 1)):
+                size = 2 if pole.imag > 0 else 1
+                found.append((mode, direction, slice(end, end + size)))
+                end += size
+        return found
+
+    def moved(self, step: NDArray[np.float64], fastest: float) -> Modes:
+        """After a step of the parameters; real poles stop at `fastest`, a pair that crosses the real axis is NaN."""
+        poles, drive = self.poles.copy(), self.drive.copy()
+        for mode, direction, columns in self.parameters():
+            parts = step[columns]
+            by = complex(*parts)
+            if direction is None:
+                poles[mode] += by
+                if len(parts) == 1:
+                    poles[mode] = max(poles[mode].real, -fastest)
+                elif poles[mode].imag <= 0:
+                    poles[mode] = np.nan
+            else:
+                drive[mode] += by * self.directions(mode)[:, direction]
+        return replace(self, poles=poles, drive=drive / np.linalg.norm(drive, axis=1, keepdims=True))

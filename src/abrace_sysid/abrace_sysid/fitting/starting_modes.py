@@ -1,0 +1,100 @@
+"""Modes to start from: poles are given, and of each mode's residues the part of rank one, shape times drive."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_sysid.fitting.condensed_lines import combined, stacked
+from abrace_sysid.fitting.modes import Modes
+from abrace_sysid.fitting.pole_basis import sides_of
+from abrace_sysid.fitting.pole_estimate import columns_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_sysid.fitting.observation import Observation
+
+
+def starting_modes(
+    observations: Sequence[Observation],
+    inputs: Sequence[str],
+    poles: NDArray[np.complex128],
+    driven: NDArray[np.bool_] | None = None,
+    fixed: NDArray[np.bool_] | None = None,
+) -> tuple[Modes, NDArray[np.float64]]:
+    """Modes with these poles, and a unit for each input in which all of them drive the modes alike.
+
+    Parameters
+    ----------
+    observations
+        The tests.
+    inputs
+        Names of all inputs.
+    poles
+        [rad/s], of each pair the one above the real axis, and real ones.
+    driven
+        (poles, inputs) which inputs can drive which modes; None: all that the tests show.
+    fixed
+        (poles,) which poles stay where they are; None: none.
+
+    Returns
+    -------
+    modes, unit
+        In these units; (inputs,).
+    """
+    channels = observations[0].measured.shape[1]
+    shows = np.zeros((len(poles), len(inputs)), dtype=np.bool_)
+    residues = np.zeros((channels, len(poles), len(inputs)), dtype=np.complex128)
+    for observation in observations:
+        shown = list(observation.poles or range(len(poles)))
+        named = [inputs.index(name) for name in observation.inputs]
+        for j in named:
+            shows[shown, j] = True
+        for j, of_input in zip(named, np.moveaxis(_residues(observation, poles[shown]), 2, 0), strict=True):
+            residues[:, shown, j] += of_input
+    driven = shows if driven is None else shows & driven
+    residues *= driven
+    unit = np.sqrt(np.sum(np.abs(residues) ** 2, axis=(0, 1)))
+    unit = 1 / np.where(unit > 0, unit, 1.0)
+    drive = np.zeros((len(poles), len(inputs)), dtype=np.complex128)
+    for mode, pole in enumerate(poles):
+        scaled = residues[:, mode] * unit
+        drive[mode] = np.linalg.svd(scaled if pole.imag > 0 else scaled.real, full_matrices=False)[2][0]
+        drive[mode, ~driven[mode]] = 0
+        length = np.linalg.norm(drive[mode])
+        drive[mode] = drive[mode] / length if length > 0 else driven[mode] / np.sqrt(driven[mode].sum())
+    fixed = np.zeros(len(poles), dtype=np.bool_) if fixed is None else fixed
+    return Modes(poles, drive, driven, fixed), unit
+
+
+def _residues(observation: Observation, poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """(channels, poles, inputs) residues of each input alone, every channel in units of what they leave over of it."""
+    z, count = observation.z, len(observation.inputs)
+    basis: list[NDArray[np.complex128]] = []
+    for pole in poles:
+        sides = sides_of(pole)
+        for sampling, drive in zip(observation.samplings, observation.excitation.T, strict=True):
+            basis += combined([(drive * sampling.response(side, z)[0])[:, None] for side in sides], np.ones(1))
+    basis += list(observation.excitation.T)
+    if observation.transient:
+        for pole in poles:
+            sides = sides_of(pole)
+            basis += combined([observation.samplings[0].transient(side, z)[0][:, None] for side in sides], np.ones(1))
+    weight = 1 / observation.noise_level[:, None]
+    columns, measured = stacked(np.column_stack(basis) * weight), stacked(observation.measured * weight)
+    scale = np.linalg.norm(columns, axis=0)
+    columns = columns / np.where(scale > 0, scale, 1.0)
+    coefficients = np.linalg.lstsq(columns, measured, rcond=None)[0]
+    noise = np.sqrt(np.mean((measured - columns @ coefficients) ** 2, axis=0))
+    coefficients = (coefficients / np.where(scale > 0, scale, 1.0)[:, None]).T / np.maximum(noise, 1e-150)[:, None]
+    found = np.zeros((len(coefficients), len(poles), count), dtype=np.complex128)
+    for mode, columns_of_mode in enumerate(columns_of(poles)):
+        size = columns_of_mode.stop - columns_of_mode.start
+        parts = coefficients[:, count * columns_of_mode.start : count * columns_of_mode.stop]
+        parts = parts.reshape(len(coefficients), count, size)
+        found[:, mode] = parts[:, :, 0] + (1j * parts[:, :, 1] if size == 2 else 0)
+    return found

@@ -1,0 +1,242 @@
+"""Measured data of any structure: arrays with named inputs and outputs, from files of MATLAB, NumPy or text.
+
+A rig's own tests are read from bags (`Run`); everything that identification asks of a test both can tell.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+EVEN = 0.01
+"""Greatest departure of a time column from even steps, as a share of a step."""
+
+DataHold = Literal["band", "zero"]
+
+SUFFIXES = (".mat", ".csv", ".npz", ".npy")
+
+
+@dataclass(frozen=True)
+class MeasuredData:
+    """A test with any inputs and outputs.
+
+    Parameters
+    ----------
+    source
+        Where it came from, for messages and provenance.
+    sample_period
+        Seconds.
+    inputs, names
+        Names of the inputs, and of the outputs.
+    excitation, outputs
+        (samples, inputs) and (samples, outputs), in the units of the file.
+    units
+        By name, for figures; none where it is not given.
+    hold
+        "band": inputs and outputs sampled alike, with nothing above half the sample rate; "zero": the inputs are held
+        between the samples, as commands are.
+    """
+
+    source: str
+    sample_period: float
+    inputs: tuple[str, ...]
+    names: tuple[str, ...]
+    excitation: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+    units: Mapping[str, str] = field(default_factory=dict)
+    hold: DataHold = "band"
+
+    def __post_init__(self) -> None:
+        if not self.inputs or not self.names:
+            raise AbraceError(f"{self.source}: {len(self.inputs)} inputs and {len(self.names)} outputs, expected both")
+        if not (np.isfinite(self.sample_period) and self.sample_period > 0):
+            raise AbraceError(f"{self.source}: sample period {self.sample_period} s, expected a number > 0")
+        named = (*self.inputs, *self.names)
+        twice = [name for name in named if named.count(name) > 1]
+        if twice:
+            raise AbraceError(f"{self.source}: {twice[0]} is named twice, expected each column once")
+        unknown = [name for name in self.units if name not in named]
+        if unknown:
+            raise AbraceError(f"{self.source}: a unit of {unknown[0]}, expected of one of {', '.join(named)}")
+
+    @property
+    def sequence(self) -> NDArray[np.uint64]:
+        """(samples,) sample numbers."""
+        return np.arange(len(self.outputs), dtype=np.uint64)
+
+    @property
+    def command_names(self) -> tuple[str, ...]:
+        """Of a rig's commands: there are none, inputs stand at their samples."""
+        return ()
+
+    @property
+    def seconds(self) -> float:
+        """Its length."""
+        return len(self.outputs) * self.sample_period
+
+    def channels(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """(samples, len(names)) of these inputs or outputs."""
+        both = dict(zip((*self.inputs, *self.names), np.hstack([self.excitation, self.outputs]).T, strict=True))
+        unknown = [name for name in names if name not in both]
+        if unknown:
+            raise AbraceError(f"{self.source}: no channel {unknown[0]!r}, it has {', '.join(both)}")
+        return np.column_stack([both[name] for name in names])
+
+    def part(self, first: int, last: int) -> MeasuredData:
+        """The samples from `first` to before `last`."""
+        return replace(self, excitation=self.excitation[first:last], outputs=self.outputs[first:last])
+
+    def select(self, names: Sequence[str]) -> MeasuredData:
+        """The same test with only the outputs `names`."""
+        kept = {name: unit for name, unit in self.units.items() if name in (*self.inputs, *names)}
+        return replace(self, names=tuple(names), outputs=self.channels(names), units=kept)
+
+
+def read_data(
+    path: Path | str,
+    inputs: Sequence[str],
+    outputs: Sequence[str] = (),
+    sample_rate: float = 0.0,
+    time: str = "",
+    units: Mapping[str, str] | None = None,
+    hold: DataHold = "band",
+) -> MeasuredData:
+    """Read a file of arrays.
+
+    Parameters
+    ----------
+    path
+        `.mat` (up to version 7), `.npz`, `.npy` or `.csv` with a line of names. A vector is a column of its name;
+        column i of a matrix M is M_i, from 1 on, of an `.npy` file just i.
+    inputs, outputs
+        Names of columns; no outputs: all columns that are not named otherwise.
+    sample_rate
+        [Hz]; 0: from the time column.
+    time
+        Name of a column of times [s], evenly spaced.
+    units, hold
+        As of `MeasuredData`.
+
+    Raises
+    ------
+    AbraceError
+        If the file cannot be read or has no such columns, columns differ in length, or times are not even.
+    """
+    path = Path(path)
+    columns = _columns(path)
+    if (sample_rate > 0) == bool(time):
+        raise AbraceError(f"{path}: sample_rate {sample_rate:g} Hz and time {time!r}, expected one of both")
+    outputs = outputs or [name for name in columns if name not in (*inputs, time)]
+    wanted = (*inputs, *outputs, *([time] if time else []))
+    for name in wanted:
+        if name not in columns:
+            raise AbraceError(f"{path}: no column {name!r}, it has {_some(list(columns))}")
+    lengths = {name: len(columns[name]) for name in wanted}
+    if len(set(lengths.values())) > 1:
+        (one, other), *_ = [(a, b) for a in wanted for b in wanted if lengths[a] < lengths[b]]
+        found = f"{one} has {lengths[one]} samples and {other} {lengths[other]}"
+        raise AbraceError(f"{path}: {found}, expected the same; name the inputs and outputs that belong together")
+    period = 1 / sample_rate if sample_rate > 0 else _period(path, time, columns[time])
+    excitation, measured = (np.column_stack([columns[name] for name in names]) for names in (inputs, outputs))
+    return MeasuredData(str(path), period, tuple(inputs), tuple(outputs), excitation, measured, units or {}, hold)
+
+
+def units_of(given: Sequence[str]) -> dict[str, str]:
+    """The units by name of texts `given` as NAME=UNIT.
+
+    >>> units_of(["a1=m/s^2", "force=N"])
+    {'a1': 'm/s^2', 'force': 'N'}
+    """
+    found = {}
+    for text in filter(None, given):
+        name, equals, unit = text.partition("=")
+        if not (name and equals and unit):
+            raise AbraceError(f"unit {text!r}, expected NAME=UNIT")
+        found[name] = unit
+    return found
+
+
+def _columns(path: Path) -> dict[str, NDArray[np.float64]]:
+    """The columns of a file by name."""
+    if path.suffix not in SUFFIXES:
+        raise AbraceError(f"{path}: expected a file with the ending {', '.join(SUFFIXES)}")
+    try:
+        if path.suffix == ".csv":
+            return _csv_columns(path)
+        arrays = _arrays(path)
+    except AbraceError:
+        raise
+    except OSError as error:
+        raise AbraceError(f"{path}: {error.strerror or error}") from error
+    except Exception as error:  # whatever a damaged file does to the readers of SciPy and NumPy
+        raise AbraceError(f"{path}: cannot be read as {path.suffix} ({error})") from error
+    columns: dict[str, NDArray[np.float64]] = {}
+    for name, array in arrays.items():
+        if array.ndim == 1 or 1 in array.shape:
+            columns[name] = array.ravel()
+        else:
+            columns |= {f"{name}_{i + 1}" if name else str(i + 1): column for i, column in enumerate(array.T)}
+    if not columns:
+        raise AbraceError(f"{path}: no array of real numbers, expected at least one")
+    return columns
+
+
+def _arrays(path: Path) -> dict[str, NDArray[np.float64]]:
+    """Vectors and matrices of real numbers in a file of MATLAB or NumPy."""
+    content: Mapping[str, Any]
+    if path.suffix == ".mat":
+        from scipy.io import loadmat
+
+        try:
+            content = loadmat(str(path))
+        except NotImplementedError as error:
+            raise AbraceError(f"{path}: MATLAB 7.3, expected a file saved with '-v7'") from error
+    elif path.suffix == ".npz":
+        with np.load(path) as file:
+            content = dict(file)
+    else:
+        content = {"": np.load(path)}
+    found = {name: np.asarray(value) for name, value in content.items() if not name.startswith("__")}
+    return {
+        name: array.astype(np.float64)
+        for name, array in found.items()
+        if array.dtype.kind in "fiu" and array.size > 1 and array.ndim in (1, 2)
+    }
+
+
+def _csv_columns(path: Path) -> dict[str, NDArray[np.float64]]:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            names = [name.strip() for name in next(csv.reader(file), [])]
+            values = np.loadtxt(file, delimiter=",", ndmin=2)
+    except ValueError as error:
+        raise AbraceError(f"{path}: {error}, expected a line of names, then numbers with commas between") from error
+    if values.shape[1] != len(names):
+        raise AbraceError(f"{path}: {len(names)} names and {values.shape[1]} columns, expected as many")
+    return dict(zip(names, values.T, strict=True))
+
+
+def _period(path: Path, name: str, time: NDArray[np.float64]) -> float:
+    """[s] between the values of a time column."""
+    steps = np.diff(time)
+    period = float(np.mean(steps)) if len(steps) else 0.0
+    uneven = np.flatnonzero(~(np.abs(steps - period) <= EVEN * period))
+    if not period > 0 or len(uneven):
+        where = f", first after sample {uneven[0]}" if len(uneven) else ""
+        raise AbraceError(f"{path}: time column {name} does not rise in even steps{where}; expected within {EVEN:.0%}")
+    return period
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names if len(names) <= 12 else [*names[:11], f"... {names[-1]}"])

@@ -1,0 +1,51 @@
+"""Fitted modes as a state-space model: each pole pair one real 2 x 2 block, each real pole one state."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import linalg
+
+from abrace_core.linear_model import LinearModel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from abrace_sysid.fitting.pole_estimate import PoleEstimate
+
+
+def modal_model(estimate: PoleEstimate, provenance: dict[str, Any]) -> LinearModel:
+    """The continuous model that a fit by maximum likelihood is: minimal, its numerators those of the likelihood.
+
+    Parameters
+    ----------
+    estimate
+        Poles, what the inputs drive of them, and shapes.
+    provenance
+        Of the model.
+    """
+    blocks: list[NDArray[np.float64]] = []
+    drives: list[NDArray[np.float64]] = []
+    shapes: list[NDArray[np.float64]] = []
+    for pole, drive, shape in zip(estimate.poles, estimate.drive, estimate.shapes.T, strict=True):
+        # q' = p q + drive u and y = Re(shape q), with the states Re q and Im q
+        if pole.imag > 0:
+            blocks.append(np.array([[pole.real, -pole.imag], [pole.imag, pole.real]]))
+            drives += [drive.real, drive.imag]
+            shapes += [shape.real, -shape.imag]
+        else:
+            blocks.append(np.array([[pole.real]]))
+            drives.append(drive.real)
+            shapes.append(shape.real)
+    # states of a size between those of the input and of the output; a pair's two alike, so that its block stays
+    into, out_of, first = np.array(drives), np.column_stack(shapes), 0
+    for block in blocks:
+        own = slice(first, first + len(block))
+        driven, seen = np.linalg.norm(into[own]), np.linalg.norm(out_of[:, own])
+        if driven * seen > 0:
+            size = np.sqrt(seen / driven)
+            into[own], out_of[:, own] = into[own] * size, out_of[:, own] / size
+        first = own.stop
+    a = linalg.block_diag(*blocks)
+    return LinearModel(a, into, out_of, estimate.direct, estimate.inputs, estimate.outputs, provenance=provenance)
