@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,6 +57,34 @@ def bags(new_graph: Callable) -> list[Path]:
         with new_graph() as graph:
             made.append(record(graph))
     return made
+
+
+def test_the_rig_waits_for_a_logger_that_is_behind(graph):
+    """A logger that stands still for seconds, in which some 10 000 samples would have been taken, misses none."""
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag), topics=list(TOPICS), lockstep=True)
+    graph.start("plant", autostart=False, lockstep=True, wait_for=list(TOPICS[1:]), duration=24.0, seed=SEED)
+    graph.start("ground_motion", record="white_noise", duration=24.0)
+    graph.start("excitation", duration=24.0)
+    assert graph.change_state("plant", "configure")
+    graph.until_matched("plant", response=3, brace_command=1, ground_motion=1)
+    for name in ("excitation", "ground_motion"):
+        graph.until_matched(name, response=1)
+    graph.until_matched("logger", response=1, brace_command=1, ground_motion=1)
+    graph.may_end.add("plant")
+    assert graph.change_state("plant", "activate")
+    logger = graph.started["logger"].group
+    time.sleep(0.3)
+    os.kill(logger, signal.SIGSTOP)
+    time.sleep(4.0)
+    os.kill(logger, signal.SIGCONT)
+    assert graph.ended("plant") == 0
+    for name in ("excitation", "ground_motion", "logger"):
+        assert graph.stop(name) == 0
+    recorded = fields(bag)
+    for topic in ("response", "brace_command"):
+        np.testing.assert_array_equal(recorded[topic]["sequence"], np.arange(12_000), err_msg=topic)
+    assert len(recorded["ground_motion"]["accel.linear.x"]) == 12_000
 
 
 def fields(bag: Path) -> dict[str, dict[str, np.ndarray]]:

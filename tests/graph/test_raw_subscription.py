@@ -47,19 +47,21 @@ class Topic:
         """A publisher, matched with the subscription if there is one already."""
         publishers = self.publishing.count_publishers(self.name)
         publisher = self.publishing.create_publisher(self.message_type, self.name, qos)
-        until(lambda: len(publishers_of(self.receiving, self.name)) == publishers + 1, "its discovery")
+        until(lambda: len(publishers_of(self.receiving, self.name), False) == publishers + 1, "its discovery")
         if self.subscription is None:
-            self.subscription = RawSubscription(self.receiving, self.name, publishers_of(self.receiving, self.name))
-        self.subscription.follow(publishers_of(self.receiving, self.name))
+            self.subscription = RawSubscription(
+                self.receiving, self.name, publishers_of(self.receiving, self.name), False
+            )
+        self.subscription.follow(publishers_of(self.receiving, self.name), False)
         until(publisher.get_subscription_count, "a match")
         until(lambda: self.subscription.count_publishers() == publishers + 1, "a match of the subscription")
         return publisher
 
     def leave(self, publisher: Any) -> None:
         """Destroy a publisher."""
-        before = len(publishers_of(self.receiving, self.name))
+        before = len(publishers_of(self.receiving, self.name), False)
         self.publishing.destroy_publisher(publisher)
-        until(lambda: len(publishers_of(self.receiving, self.name)) == before - 1, "the publisher's end")
+        until(lambda: len(publishers_of(self.receiving, self.name), False) == before - 1, "the publisher's end")
 
     def receive(self, count: int) -> None:
         """Receive until there are so many messages in all."""
@@ -179,6 +181,6 @@ def test_a_type_that_changes_or_is_defined_otherwise_here_is_refused(topic: Topi
     ):
         topic.subscription.follow([offer("std_msgs/msg/Bool")])
     with pytest.raises(AbraceError, match=r"String is published as RIHS01_0101.*, expected RIHS01_"):
-        RawSubscription(topic.receiving, topic.name, [offer("std_msgs/msg/String", "RIHS01_0101")])
+        RawSubscription(topic.receiving, topic.name, [offer("std_msgs/msg/String", "RIHS01_0101")], False)
     with pytest.raises(AbraceError, match=rf"{topic.name}: .*no_such_msgs/Type is not installed"):
-        RawSubscription(topic.receiving, topic.name, [offer("no_such_msgs/msg/Type")])
+        RawSubscription(topic.receiving, topic.name, [offer("no_such_msgs/msg/Type")], False)

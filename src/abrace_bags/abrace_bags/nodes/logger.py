@@ -37,7 +37,9 @@ PARAMETERS = [
     Parameter("autostart", True, "record at once; false: wait for `~/start`"),
     Parameter("flush_interval", 0.1, "s between flushes: what a killed logger may lose", minimum=0.01, maximum=10.0),
     Parameter("sync_interval", 0.5, "s between syncs: what a power loss may take besides", minimum=0.1, maximum=600.0),
-    Parameter("lockstep", False, "log time is that of the rig's samples (their stamps), not the clock's"),
+    Parameter(
+        "lockstep", False, "log time is that of the rig's samples (their stamps), not the clock's; the rig waits for us"
+    ),
 ]
 
 SERVICES = ("start", "stop", "pause", "resume", "split", "snapshot")
@@ -131,7 +133,7 @@ class Logger(AbraceNode):
 
     def record(self, name: str, publishers: list[Publisher]) -> None:
         """Subscribe to a topic."""
-        subscription = RawSubscription(self.input, name, publishers)
+        subscription = RawSubscription(self.input, name, publishers, self.parameters.lockstep)
         definition = subscription.definition
         offers = [publisher.qos for publisher in publishers]
         topic_id = self.open_recording().add_topic(

@@ -9,7 +9,7 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from rclpy.type_hash import TypeHash
-from rosbags.interfaces import QosDurability
+from rosbags.interfaces import QosDurability, QosHistory
 
 from abrace_bags.nodes.endpoint import message_class, qos_profile
 from abrace_bags.qos import common_qos, offered_qos
@@ -45,6 +45,8 @@ class RawSubscription:
         Full name.
     publishers
         Of the topic, at least one.
+    keep_all
+        Whether reliable publishers that keep all wait for us, rather than old messages giving way to new ones.
 
     Attributes
     ----------
@@ -66,11 +68,12 @@ class RawSubscription:
     then takes the place of the old one as soon as it has received a message, and each message is received once.
     """
 
-    def __init__(self, node: Node, topic: str, publishers: Sequence[Publisher]) -> None:
+    def __init__(self, node: Node, topic: str, publishers: Sequence[Publisher], keep_all: bool) -> None:
         self._node = node
         self.topic = topic
         self.definition = common_definition(topic, publishers)
         self.lost = 0
+        self._history = QosHistory.KEEP_ALL if keep_all else QosHistory.KEEP_LAST
         self._qos = common_qos([publisher.qos for publisher in publishers], DEPTH)
         self._subscription = self._subscribe()
         self._successor: Subscription | None = None
@@ -153,7 +156,8 @@ class RawSubscription:
 
     def _subscribe(self) -> Subscription:
         message_type = message_class(self.topic, self.definition.type_name)
-        return self._node.create_subscription(message_type, self.topic, _never_called, qos_profile(self._qos), raw=True)
+        qos = qos_profile(self._qos._replace(history=self._history))
+        return self._node.create_subscription(message_type, self.topic, _never_called, qos, raw=True)
 
     def _subscribe_anew(self, qos: Qos) -> None:
         if self._successor is not None:

@@ -22,7 +22,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
@@ -54,6 +54,8 @@ With ten samples kept, a logger that a busy machine delayed by some milliseconds
 commander that joined a running rig lost samples one time in two: the 50 to 80 samples that are published during
 discovery arrive all at once.
 """
+LOCKSTEP_STREAM_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+"""Of the samples of a run in lockstep: nothing is overwritten, the rig waits for who is behind and keeps all, too."""
 TRANSIENT_LOCAL_QOS = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from abrace_core.node import Parameter, run
+from abrace_core.node import Parameter, RCLError, run
 from abrace_core.node.conventions import DISPLAY_PERIOD
 from abrace_plant.devices.simulated import SimulatedRig, sensor_faults
 from abrace_plant.live.loop import COMMAND, GROUND
@@ -34,6 +34,10 @@ PARAMETERS = [
     ),
     Parameter("lockstep_timeout", 10.0, "seconds without an answer that end a lockstep run", minimum=0.1),
 ]
+
+
+SUBSCRIBER_PATIENCE = 30.0
+"""Seconds in which a subscriber that is behind has to take messages; one that was killed is forgotten after 20 s."""
 
 
 class Plant(RigNode):
@@ -85,6 +89,20 @@ class Plant(RigNode):
         assert self.loop is not None
         self.publish_sample(self.loop.step())
         self.due = time.monotonic() + self.parameters.lockstep_timeout
+
+    def send(self, payload: bytes) -> None:
+        """Publish a response; in lockstep wait for a subscriber that is behind."""
+        given_up = time.monotonic() + SUBSCRIBER_PATIENCE
+        while True:
+            try:
+                super().send(payload)
+                return
+            except RCLError:
+                if not self.lockstep:
+                    raise
+                if time.monotonic() > given_up:
+                    self.finish(1, f"a subscriber of response took nothing for {SUBSCRIBER_PATIENCE:g} s")
+                    return
 
     def answered(self) -> None:
         """In lockstep, take the next sample once every input of `wait_for` has answered."""

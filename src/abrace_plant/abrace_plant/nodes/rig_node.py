@@ -16,7 +16,14 @@ from std_srvs.srv import Trigger
 
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceLifecycleNode, Parameter, find_file, real_time
-from abrace_core.node.conventions import DISPLAY_PERIOD, KEPT_STREAM_QOS, STREAM_QOS, TRANSIENT_LOCAL_QOS, clearing
+from abrace_core.node.conventions import (
+    DISPLAY_PERIOD,
+    KEPT_STREAM_QOS,
+    LOCKSTEP_STREAM_QOS,
+    STREAM_QOS,
+    TRANSIENT_LOCAL_QOS,
+    clearing,
+)
 from abrace_core.node.stop_listener import StopListener
 from abrace_core.safety.rig_safety import RigSafety
 from abrace_core.safety.table_stop import LONGEST
@@ -82,7 +89,7 @@ class RigNode(AbraceLifecycleNode):
         """Load the rig and create the topics."""
         self.rig = self.load()
         self.safety.configure(rig_outputs(self.rig), 1 / self.rig.sample_rate)
-        self.response = self.publish_on(Response, "response", KEPT_STREAM_QOS)
+        self.response = self.publish_on(Response, "response", LOCKSTEP_STREAM_QOS if self.lockstep else KEPT_STREAM_QOS)
         self.joint_states = self.create_publisher(JointState, "joint_states", 10)
         self.description = self.create_publisher(String, "robot_description", TRANSIENT_LOCAL_QOS)
         self.description.publish(String(data=urdf(self.rig)))
@@ -167,7 +174,7 @@ class RigNode(AbraceLifecycleNode):
         """Publish a sample, report a fault that is new, and end the run after its last one."""
         rig, reading = self.rig, sample.reading
         floors, groups = rig.floors, rig.groups
-        self.response.publish(
+        self.send(
             self.responses.pack(
                 sample.stamp,
                 sample.head,
@@ -191,6 +198,10 @@ class RigNode(AbraceLifecycleNode):
         if 0 <= self.last <= sample.head.sequence and not self.lockstep:
             self.done = True
             self.come_to_rest()
+
+    def send(self, payload: bytes) -> None:
+        """Publish a response."""
+        self.response.publish(payload)
 
     def show(self, stamp: Time, displacement: list[float]) -> None:
         """Publish what viewers show."""
