@@ -47,21 +47,21 @@ class Topic:
         """A publisher, matched with the subscription if there is one already."""
         publishers = self.publishing.count_publishers(self.name)
         publisher = self.publishing.create_publisher(self.message_type, self.name, qos)
-        until(lambda: len(publishers_of(self.receiving, self.name), False) == publishers + 1, "its discovery")
+        until(lambda: len(publishers_of(self.receiving, self.name)) == publishers + 1, "its discovery")
         if self.subscription is None:
             self.subscription = RawSubscription(
                 self.receiving, self.name, publishers_of(self.receiving, self.name), False
             )
-        self.subscription.follow(publishers_of(self.receiving, self.name), False)
+        self.subscription.follow(publishers_of(self.receiving, self.name))
         until(publisher.get_subscription_count, "a match")
         until(lambda: self.subscription.count_publishers() == publishers + 1, "a match of the subscription")
         return publisher
 
     def leave(self, publisher: Any) -> None:
         """Destroy a publisher."""
-        before = len(publishers_of(self.receiving, self.name), False)
+        before = len(publishers_of(self.receiving, self.name))
         self.publishing.destroy_publisher(publisher)
-        until(lambda: len(publishers_of(self.receiving, self.name), False) == before - 1, "the publisher's end")
+        until(lambda: len(publishers_of(self.receiving, self.name)) == before - 1, "the publisher's end")
 
     def receive(self, count: int) -> None:
         """Receive until there are so many messages in all."""

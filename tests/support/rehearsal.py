@@ -130,7 +130,7 @@ def rehearse(
         if running and k:
             running.advance(braces.value)
         true[:-1] = motion.outputs(table.value[0], np.array(braces.value))[rig.measured_outputs]
-        true[-1] = table.value[0]
+        true[-1] = motion.ground_acceleration
         reading = measurement.read(true)
         if cause.tamper and k >= start:
             cause.tamper(reading)
