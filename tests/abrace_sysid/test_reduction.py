@@ -98,3 +98,15 @@ def test_models_that_cannot_be_balanced_are_refused(model):
     silent = replace(model, c=mute @ model.c, d=mute @ model.d)
     with pytest.raises(AbraceError, match="output a1 answers to no input"):
         typical_scales(silent, (0.3, 30.0))
+
+
+def test_the_units_of_the_states_do_not_matter(rig, model):
+    """The rig's states are metres, newtons and newton seconds; of a balanced model any scales."""
+    for one in (rig.model, model):
+        scales = typical_scales(one, (0.3, 30.0))
+        least = balanced_truncation(one, 4, scales).hankel_singular_values
+        for seed in range(3):
+            size = 10.0 ** np.random.default_rng(seed).uniform(-6, 6, one.order)
+            other = replace(one, a=one.a * size / size[:, None], b=one.b / size[:, None], c=one.c * size)
+            found = balanced_truncation(other, 4, scales).hankel_singular_values
+            np.testing.assert_allclose(found[:10], least[:10], rtol=1e-6)

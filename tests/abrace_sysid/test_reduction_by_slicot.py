@@ -15,12 +15,12 @@ BAND = (0.3, 30.0)
 
 @pytest.mark.parametrize("states", [6, 8, 12])
 def test_slicot_finds_the_same_reduced_model(rig, states):
-    # states of one size: in SI units (metres, newtons and their rates) ours loses the small Hankel singular values
     whole = rig.model
+    ours = balanced_truncation(whole, states, typical_scales(whole, BAND))
+    # SLICOT gets states of one size, ours finds them
     _, (size, _) = linalg.matrix_balance(whole.a, permute=False, separate=True)
     whole = replace(whole, a=whole.a * size / size[:, None], b=whole.b / size[:, None], c=whole.c * size)
     scales = typical_scales(whole, BAND)
-    ours = balanced_truncation(whole, states, scales)
     b, c = whole.b * scales.inputs, whole.c / scales.outputs[:, None]
     inputs, outputs = len(whole.inputs), len(whole.outputs)
     matrices = (np.array(matrix, order="F") for matrix in (whole.a, b, c))

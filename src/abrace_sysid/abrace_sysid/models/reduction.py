@@ -100,6 +100,9 @@ def balanced_truncation(model: LinearModel, states: int, scales: Scales) -> Redu
     """
     if model.sample_period or not model.is_stable():
         raise AbraceError("balanced truncation: a continuous, stable model was expected")
+    # metres and newtons side by side are many powers of ten: what is lost to rounding is lost from the least states
+    _, (size, _) = linalg.matrix_balance(model.a, permute=False, separate=True)
+    model = replace(model, a=model.a * size / size[:, None], b=model.b / size[:, None], c=model.c * size)
     b, c = model.b * scales.inputs, model.c / scales.outputs[:, None]
     controllability = _gramian_root(model.a, b)
     observability = _gramian_root(model.a.T, c.T)
