@@ -131,10 +131,10 @@ def by_peer(method: str, test: str, run: Run, found: Identification) -> Pairs | 
             # in the command's place, whose order is free; the command test does not matter here
             order = SK_TABLE_ORDER if method == "sk" else 2 * floors
             poles = fit_poles_of(
-                found.table, found.table, floors, replace(options, command_order=order), _in_silence
+                found.table, [found.table], floors, replace(options, command_order=order), _in_silence
             ).command
         else:
-            poles = fit_poles_of(found.table, found.command, floors, options, _in_silence).command
+            poles = fit_poles_of(found.table, [found.command], floors, options, _in_silence).command
     except AbraceError as error:
         return str(error)
     return pole_table(poles) or f"{run.source}: {method} finds no oscillating pair"

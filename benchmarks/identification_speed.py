@@ -210,7 +210,9 @@ def vector_fits(identified: Identification, rig: Rig) -> dict[str, Any]:
     options = IdentificationOptions()
     seconds["maximum_likelihood"] = best_of(
         REPEATS,
-        lambda: fit_poles_of(identified.table, identified.command, rig.floors, options, lambda _step, _fraction: None),
+        lambda: fit_poles_of(
+            identified.table, [identified.command], rig.floors, options, lambda _step, _fraction: None
+        ),
     )
     worst = {name: tuple(max(column) for column in zip(*found, strict=True)) for name, found in errors.items()}
     return {

@@ -299,7 +299,7 @@ MISTAKES = {
         "bags/command: rig other, but one in bags/table",
     ),
     "another sample period": (lambda t, c: (t, replace(c, sample_period=0.004)), "sample period 0.004, but 0.002"),
-    "two brace groups": (lambda t, c: (replace(t, groups=2), c), "bags/table: 2 brace groups, expected 1"),
+    "two brace groups": (lambda t, c: (t, replace(c, groups=2)), "bags/command: brace groups 2, but 1 in bags/table"),
     "a value that is no number": (
         lambda t, c: (without(t, "x3", np.nan), c),
         "bags/table: channel x3 has 122000 values that are not finite, first at sample 0",

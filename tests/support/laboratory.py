@@ -68,11 +68,12 @@ class Laboratory:
         return self._run(source, outputs, table, until)
 
     def open_loop(self, source: str, ground: Array, command: Array) -> Run:
-        """A test with a `command` (samples,) in force from each sample on; its name is `source`."""
+        """A test with a `command` (samples,) or (samples, groups) from each sample on; its name is `source`."""
+        command = command.reshape(len(ground), -1)
         if self.as_it_is:
-            return self._stepped(source, ground, lambda k, _: command[k : k + 1])
+            return self._stepped(source, ground, lambda k, _: command[k])
         outputs = simulate(self.model, np.column_stack([ground, command]))
-        return self._run(source, outputs, ground, np.concatenate([[0.0], command[:-1]])[:, None])
+        return self._run(source, outputs, ground, np.vstack([np.zeros((1, command.shape[1])), command[:-1]]))
 
     def closed_loop(self, source: str, ground: Array, controller: LinearModel, correction: Array | None = None) -> Run:
         """A test in which a discrete `controller` commands, within the rig's capacity; its name is `source`.

@@ -20,6 +20,7 @@ from abrace_core.run import Run
 from abrace_sysid.fitting.options import FIT_METHODS, IdentificationOptions
 from abrace_sysid.fitting.pole_fits import PoleFit, fit_poles_of
 from abrace_sysid.models.consistent import consistent_model, realize_together
+from abrace_sysid.models.modal import modal_model
 from abrace_sysid.models.realization import realize, superpose, unexplained
 from abrace_sysid.models.reduction import Reduction, balanced_truncation, typical_scales
 from abrace_sysid.recordings import prepare, require_at_rest
@@ -47,8 +48,8 @@ class Identification:
 
     Parameters
     ----------
-    table, command
-        The tests and their transfer functions.
+    table, commands
+        The tests on the table, and of each command, with their transfer functions.
     poles
         Poles of each test and of both, with their uncertainty where the method gives it.
     model
@@ -64,7 +65,7 @@ class Identification:
     """
 
     table: TestData
-    command: TestData
+    commands: tuple[TestData, ...]
     poles: PoleFit
     model: LinearModel
     superposed: LinearModel
@@ -83,8 +84,13 @@ class Identification:
         return self.table.responses[0]
 
     @property
+    def command(self) -> TestData:
+        """The tests of the first command."""
+        return self.commands[0]
+
+    @property
     def command_response(self) -> FrequencyResponse:
-        """Transfer functions from the command."""
+        """Transfer functions from the first command."""
         return self.command.responses[0]
 
     @property
@@ -106,8 +112,9 @@ def identify(
     table
         One test or several: noise or a multisine on the table, zero command.
     command
-        Likewise with a command, the table at rest; or the same tests, if multisines ran on both at once on lines of
-        their own.
+        Likewise with commands, the table at rest; or the same tests, if multisines ran on both at once on lines of
+        their own. Of several brace groups each alone, or all at once: noise that is not correlated, or multisines on
+        lines of their own.
     options
         By default those of `IdentificationOptions`.
     progress
@@ -123,47 +130,53 @@ def identify(
     progress("checking the tests", 0.0)
     _check_options(options)
     _check_rig(tables, commands, options)
-    command_name = tables[0].command_names[0]
+    names = tables[0].command_names
     same_tests = [run.source for run in tables] == [run.source for run in commands]
     if not same_tests:
         for run in tables:
-            require_at_rest(run, command_name, commands[0])
+            for name in names:
+                require_at_rest(run, name, commands[0])
         for run in commands:
             require_at_rest(run, signals.GROUND, tables[0])
     progress("transfer functions from the table", 0.05)
-    from_table = _test_data(tables, signals.GROUND, options.table_band, options, same_tests)
+    from_table = _test_data(tables, (signals.GROUND,), options.table_band, options, same_tests)[0]
     progress("transfer functions from the command", 0.2)
-    from_command = _test_data(commands, command_name, options.command_band, options, same_tests)
-    outputs = [name for name in from_table.outputs if name in from_command.outputs]
-    from_table, from_command = from_table.select(outputs), from_command.select(outputs)
+    from_commands = _command_tests(commands, options, same_tests)
+    outputs = [name for name in from_table.outputs if all(name in data.outputs for data in from_commands)]
+    from_table, from_commands = from_table.select(outputs), tuple(data.select(outputs) for data in from_commands)
 
     progress("poles", 0.5)
     floors = tables[0].floors
-    poles = fit_poles_of(from_table, from_command, floors, options, progress)
+    poles = fit_poles_of(from_table, from_commands, floors, options, progress)
     progress("numerators", 0.85)
+    tests = (from_table, *from_commands)
     provenance: dict[str, Any] = {
         "bags": {"table": [run.source for run in tables], "command": [run.source for run in commands]},
         "seconds": {
             name: [len(run.outputs) * run.sample_period for run in data.runs]
-            for name, data in (("table", from_table), ("command", from_command))
+            for name, data in (("table", from_table), ("command", from_commands[0]))
         },
-        "method": {"table": from_table.responses[0].method, "command": from_command.responses[0].method},
+        "method": {"table": from_table.responses[0].method, "command": from_commands[0].responses[0].method},
         "options": asdict(options),
     }
-    measured, delays = (*from_table.responses, *from_command.responses), {command_name: options.servo_lag}
+    measured, delays = [one for data in tests for one in data.responses], dict.fromkeys(names, options.servo_lag)
     whole = realize_together(measured, poles.of_model, delays)
-    merged = consistent_model(measured, poles.of_model, delays, options.command_band).model
-    model = replace(merged, provenance={**provenance, **merged.provenance})
-    superposed = _superposed(from_table, from_command, poles, floors, options.servo_lag)
+    if poles.estimate is not None and len(names) > 1:
+        model = modal_model(poles.estimate, {**provenance, "states": "the modes of maximum likelihood"})
+        whole = model
+    else:
+        merged = consistent_model(measured, poles.of_model, delays, options.command_band).model
+        model = replace(merged, provenance={**provenance, **merged.provenance})
+    superposed = _superposed(from_table, from_commands, poles, floors, options.servo_lag)
     superposed = replace(superposed, provenance={**provenance, "states": "superposed, Eqs. (6) and (7)"})
     progress("balanced reduction", 0.95)
     reduction = balanced_truncation(whole, options.reduced_order, typical_scales(whole, options.command_band))
     reduced = replace(reduction.model, provenance={**provenance, "states": "consistent, balanced and cut, Eq. (9)"})
     progress("identified", 1.0)
-    misfits = (*_misfits(model, from_table), *_misfits(model, from_command))
-    warnings = tuple(dict.fromkeys((*from_table.warnings, *from_command.warnings, *misfits)))
+    misfits = [sentence for data in tests for sentence in _misfits(model, data)]
+    warnings = tuple(dict.fromkeys([*(sentence for data in tests for sentence in data.warnings), *misfits]))
     reduction = replace(reduction, model=reduced)
-    return Identification(from_table, from_command, poles, model, superposed, whole, reduction, warnings)
+    return Identification(from_table, from_commands, poles, model, superposed, whole, reduction, warnings)
 
 
 def _misfits(model: LinearModel, data: TestData) -> tuple[str, ...]:
@@ -181,8 +194,10 @@ def _misfits(model: LinearModel, data: TestData) -> tuple[str, ...]:
     return (f"{found}: {advice}",) if poor else ()
 
 
-def _superposed(table: TestData, command: TestData, poles: PoleFit, floors: int, servo_lag: float) -> LinearModel:
-    """Eqs. (3) to (7): three parts with poles of their own."""
+def _superposed(
+    table: TestData, commands: Sequence[TestData], poles: PoleFit, floors: int, servo_lag: float
+) -> LinearModel:
+    """Eqs. (3) to (7): parts with poles of their own, one of the table and two of each command."""
     accelerations = [name for name in table.outputs if name.startswith("a")]
     others = [name for name in table.outputs if name not in accelerations]
 
@@ -191,35 +206,68 @@ def _superposed(table: TestData, command: TestData, poles: PoleFit, floors: int,
 
     building = poles.command[: 2 * floors]
     parts = [realize(of(table, table.outputs), poles.table)]
-    if accelerations:
-        parts.append(realize(of(command, accelerations), poles.command, servo_lag))
-    if others:
-        parts.append(realize(of(command, others), building, servo_lag))
-    return superpose(parts, (table.input, command.input), table.outputs)
+    for command in commands:
+        if accelerations:
+            parts.append(realize(of(command, accelerations), poles.command, servo_lag))
+        if others:
+            parts.append(realize(of(command, others), building, servo_lag))
+    return superpose(parts, (table.input, *(command.input for command in commands)), table.outputs)
+
+
+def _command_tests(runs: tuple[Run, ...], options: IdentificationOptions, same_tests: bool) -> tuple[TestData, ...]:
+    """The tests of each command: alone, or all that were excited at once."""
+    names = runs[0].command_names
+    kinds: dict[tuple[str, ...], list[Run]] = {}
+    for run in runs:
+        excited = tuple(name for name in names if np.any(held_input(run, name))) or names[:1]
+        kinds.setdefault(excited, []).append(run)
+    found: dict[str, TestData] = {}
+    for excited, same in kinds.items():
+        for data in _test_data(tuple(same), excited, options.command_band, options, same_tests):
+            if data.input in found:
+                others = ", ".join(run.source for run in found[data.input].runs)
+                raise AbraceError(
+                    f"{data.source}: {data.input} is one of {' and '.join(excited)} excited here, not so in {others}; "
+                    "expected every command either alone or always with the same ones"
+                )
+            found[data.input] = data
+    missing = [name for name in names if name not in found]
+    if missing:
+        sources = ", ".join(run.source for run in runs)
+        raise AbraceError(f"{sources}: {' and '.join(missing)} zero throughout, expected a test of every command")
+    return tuple(found[name] for name in names)
 
 
 def _test_data(
-    runs: tuple[Run, ...], name: str, band: tuple[float, float], options: IdentificationOptions, same_tests: bool
-) -> TestData:
-    """Check the tests of one input and estimate its transfer functions."""
-    periods = [find_period(held_input(run, name)) for run in runs]
+    runs: tuple[Run, ...],
+    names: tuple[str, ...],
+    band: tuple[float, float],
+    options: IdentificationOptions,
+    same_tests: bool,
+) -> tuple[TestData, ...]:
+    """Check the tests of inputs that were excited together, and estimate the transfer functions of each."""
+    periods = [max((find_period(held_input(run, name)) or 0 for name in names), default=0) or None for run in runs]
     periodic = [period is not None for period in periods]
+    named = " and ".join(names)
     if any(periodic) and not all(periodic):
-        raise AbraceError(f"tests of {name}: {periodic.count(True)} of {len(runs)} are periodic, expected all or none")
+        raise AbraceError(f"tests of {named}: {periodic.count(True)} of {len(runs)} are periodic, expected all or none")
     if same_tests and not all(periodic):
         raise AbraceError(
             f"{runs[0].source}: table and command in one test with noise, expected two tests, or multisines on odd "
             "lines and on even ones: noise on both leaves each test with the other's leakage"
         )
-    recordings = [prepare(run, [name], band, period) for run, period in zip(runs, periods, strict=True)]
+    recordings = [prepare(run, names, band, period) for run, period in zip(runs, periods, strict=True)]
     prepared = tuple(recording.run for recording in recordings)
     if all(periodic):
-        responses = tuple(periodic_response(run, name, band).frequency_response for run in prepared)
+        responses = [tuple(periodic_response(run, name, band).frequency_response for run in prepared) for name in names]
     else:
-        responses = frequency_responses(prepared, [name], band, options.transfer_function)
+        responses = [(one,) for one in frequency_responses(prepared, names, band, options.transfer_function)]
     outputs = [output for output in runs[0].names if all(output in recording.outputs for recording in recordings)]
     warnings = tuple(warning for recording in recordings for warning in recording.warnings)
-    return TestData(name, prepared, tuple(response.select(outputs) for response in responses), all(periodic), warnings)
+    return tuple(
+        TestData(name, prepared, tuple(one.select(outputs) for one in of_input), all(periodic), warnings, names)
+        for name, of_input in zip(names, responses, strict=True)
+    )
 
 
 def _check_options(options: IdentificationOptions) -> None:
@@ -230,13 +278,11 @@ def _check_options(options: IdentificationOptions) -> None:
 
 
 def _check_rig(tables: Sequence[Run], commands: Sequence[Run], options: IdentificationOptions) -> None:
-    """That there are tests with both inputs, of one rig with one brace group."""
+    """That there are tests with table and commands, of one rig."""
     for kind, runs in (("table", tables), ("command", commands)):
         if not runs:
             raise AbraceError(f"identification: no {kind} test, expected at least one")
     first = tables[0]
-    if first.groups != 1:
-        raise AbraceError(f"{first.source}: {first.groups} brace groups, expected 1")
     for run in (*tables[1:], *commands):
         for what, one, other in (
             ("floors", first.floors, run.floors),

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from abrace_sysid.fitting.observation import Observation
 
-ITERATIONS = 60
+ITERATIONS = 150
 
 CONVERGED = 0.01
 """A step that small against the standard deviations of the parameters ends the iterations."""

@@ -6,6 +6,8 @@ import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from abrace_core.errors import AbraceError
 from abrace_sysid.fitting.maximum_likelihood import fit_poles
 from abrace_sysid.fitting.vector_fitting import starting_poles
@@ -13,7 +15,6 @@ from abrace_sysid.fitting.vector_fitting import starting_poles
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from abrace_sysid.fitting.observation import Observation
@@ -42,7 +43,10 @@ class OrderTrial:
 
 
 def try_orders(
-    observations: Sequence[Observation], measured: FrequencyResponse, orders: Sequence[tuple[int, int]]
+    observations: Sequence[Observation],
+    measured: FrequencyResponse,
+    orders: Sequence[tuple[int, int]],
+    groups: int = 1,
 ) -> list[OrderTrial]:
     """Fits of one test, or of repeated ones, with each order.
 
@@ -53,18 +57,24 @@ def try_orders(
     measured
         Its transfer functions, for starting poles.
     orders
-        (pairs, real poles) to try.
+        (pairs, real poles of each servo) to try.
+    groups
+        Servos; the lag of each, its second real pole, is driven by its own command alone, in the order of the inputs.
     """
     most = max((reals for _, reals in orders), default=0)
 
     @functools.cache
     def start(pairs: int) -> NDArray[np.complex128]:
-        return starting_poles(measured, pairs, most)
+        return starting_poles(measured, pairs, most, groups)
 
     trials = []
     for pairs, reals in orders:
         try:
-            estimate = fit_poles(observations, start(pairs)[: pairs + reals])
+            poles = start(pairs)[: pairs + reals * groups]
+            driven = np.ones((len(poles), groups), dtype=np.bool_)
+            if reals == 2:
+                driven[-groups:] = np.eye(groups)
+            estimate = fit_poles(observations, poles, driven)
         except AbraceError as error:
             trials.append(OrderTrial(pairs, reals, None, str(error)))
         else:

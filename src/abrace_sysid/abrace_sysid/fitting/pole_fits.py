@@ -12,7 +12,7 @@ The last two fit a ratio of polynomials of s. Hold and servo's lag are not such 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,17 +23,18 @@ from abrace_sysid.fitting.curve_fit import fit_rational, fit_sanathanan_koerner,
 from abrace_sysid.fitting.maximum_likelihood import fit_poles
 from abrace_sysid.fitting.observation import Observation
 from abrace_sysid.fitting.order_selection import best_order, try_orders
-from abrace_sysid.fitting.pole_estimate import PoleEstimate, PoleInterval
+from abrace_sysid.fitting.pole_estimate import PoleInterval
 from abrace_sysid.fitting.slow_pole import slow_real_pole
 from abrace_sysid.fitting.vector_fitting import modes_of, vector_fitting
 from abrace_sysid.spectra.fourier import spectra_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from abrace_sysid.fitting.options import IdentificationOptions
+    from abrace_sysid.fitting.pole_estimate import PoleEstimate
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
     from abrace_sysid.spectra.measured_tests import TestData
 
@@ -52,6 +53,8 @@ class PoleFit:
         One set for both inputs, with the servo's slow real pole, for the consistent model.
     table_pairs, command_pairs, common_pairs
         Frequency and damping of the pairs with their standard deviations; NaN where the method gives none.
+    estimate
+        Maximum likelihood's modes of all tests: a model; None of another method.
     """
 
     table: NDArray[np.complex128]
@@ -60,11 +63,12 @@ class PoleFit:
     table_pairs: tuple[PoleInterval, ...]
     command_pairs: tuple[PoleInterval, ...]
     common_pairs: tuple[PoleInterval, ...]
+    estimate: PoleEstimate | None = None
 
 
 def fit_poles_of(
     table: TestData,
-    command: TestData,
+    commands: Sequence[TestData],
     floors: int,
     options: IdentificationOptions,
     progress: Callable[[str, float], None],
@@ -73,8 +77,8 @@ def fit_poles_of(
 
     Parameters
     ----------
-    table, command
-        The tests.
+    table, commands
+        The tests on the table, and of each command.
     floors
         Modes of the building.
     options
@@ -88,9 +92,11 @@ def fit_poles_of(
         If a fit fails, a pole is unstable, or the building's modes are not among the poles.
     """
     if options.fit == "maximum_likelihood":
-        return _maximum_likelihood(table, command, floors, options, progress)
+        return _maximum_likelihood(table, commands, floors, options, progress)
+    if len(commands) > 1:
+        raise AbraceError(f"identification: fit {options.fit} of {len(commands)} commands, expected maximum_likelihood")
     building = _by_curve_fit(table, 2 * floors, options, floors)
-    everything = _by_curve_fit(command, options.command_order, options, floors)
+    everything = _by_curve_fit(commands[0], options.command_order, options, floors)
     slowest = [(one + other) / 2 for one, other in zip(building, everything[:floors], strict=True)]
     common = _with_conjugates(np.array([*slowest, *everything[floors:]]))
     slow = slow_real_pole(table.responses[0], common)
@@ -98,41 +104,43 @@ def fit_poles_of(
         _with_conjugates(building),
         _with_conjugates(everything),
         common if slow is None else np.append(common, slow),
-        *(_without_deviation(poles) for poles in (building, everything, common)),
+        _without_deviation(building),
+        _without_deviation(everything),
+        _without_deviation(common),
     )
 
 
 def _maximum_likelihood(
     table: TestData,
-    command: TestData,
+    commands: Sequence[TestData],
     floors: int,
     options: IdentificationOptions,
     progress: Callable[[str, float], None],
 ) -> PoleFit:
-    """Each test alone, then both with one set of poles: those of the command test, of which the table shows some."""
+    """Table and commands alone, then both with one set of modes: the commands', of which the table shows some."""
     top, highest = (2 * np.pi * band[1] for band in (options.table_band, options.command_band))
     progress("maximum likelihood, table", 0.5)
-    from_table = _observations(table)
+    from_table = _observations([table])
     orders = [(pairs, reals) for pairs in (floors, floors + 1) for reals in (0, 1)]
     trials = try_orders(from_table, table.responses[0], orders)
     of_table = best_order(trials)
     _require_modes(of_table, floors, table.source)
     progress("maximum likelihood, command", 0.6)
-    from_command, pairs = _observations(command), options.command_order // 2
-    trials = try_orders(from_command, command.responses[0], [(pairs, 2)])
+    from_command, pairs, groups = _observations(commands), options.command_order // 2, len(commands)
+    measured = side_by_side([data.responses[0] for data in commands])
+    trials = try_orders(from_command, measured, [(pairs, 2)], groups)
     if trials[0].estimate is None:  # a servo without a slow pole within the band, or without lag
-        trials += try_orders(from_command, command.responses[0], [(pairs, 1), (pairs, 0)])
+        trials += try_orders(from_command, measured, [(pairs, 1), (pairs, 0)], groups)
     of_command = best_order(trials)
-    _require_modes(of_command, floors, command.source)
+    _require_modes(of_command, floors, ", ".join(data.source for data in commands))
 
     progress("maximum likelihood, both", 0.75)
-    modes = _upper(of_command.poles)
-    slow = _reals(of_table.poles)[:1]
-    lag = _reals(of_command.poles)
-    lag = lag[np.abs(lag) > highest][-1:]
-    shown = tuple(i for i, pole in enumerate([*modes, *slow]) if abs(pole) <= top)
-    both = np.concatenate([modes, slow, lag])
-    of_both = fit_poles([*(replace(one, poles=shown) for one in from_table), *from_command], both)
+    poles = of_command.poles
+    lags = (poles.imag == 0) & (np.abs(poles) > highest)
+    shown = tuple(int(i) for i in np.flatnonzero((np.abs(poles) <= top) & ~lags))
+    # each lag is driven by the command that drives it alone, and not by the table
+    driven = np.hstack([np.ones((len(poles), 1), dtype=np.bool_), of_command.drive != 0])
+    of_both = fit_poles([*(replace(one, poles=shown) for one in from_table), *from_command], poles, driven)
     reals = _reals(of_both.poles)
     return PoleFit(
         _with_conjugates(_upper(of_table.poles)[:floors]),
@@ -141,18 +149,44 @@ def _maximum_likelihood(
         tuple(of_table.pairs()[:floors]),
         tuple(of_command.pairs()),
         tuple(of_both.pairs()),
+        of_both,
     )
 
 
-def _observations(data: TestData) -> list[Observation]:
-    """Of each test the spectra with their leakage, or the response of a periodic one."""
-    if data.periodic:
-        pairs = zip(data.responses, data.runs, strict=True)
-        return [Observation.of_response(response, run.source) for response, run in pairs]
-    omega = data.responses[0].omega
-    band = (float(omega[0] / (2 * np.pi)), float(omega[-1] / (2 * np.pi)))
-    spectra = [spectra_of(run, [data.input], band).select(data.outputs) for run in data.runs]
-    return [Observation.of_spectra(one, run.source) for one, run in zip(spectra, data.runs, strict=True)]
+def side_by_side(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
+    """Responses to several inputs as channels of one, at the lines of the first: to start from, not to fit.
+
+    Parameters
+    ----------
+    responses
+        At about the same frequencies.
+    """
+    first = responses[0]
+
+    def at_its_lines(other: FrequencyResponse, values: NDArray[Any]) -> NDArray[Any]:
+        columns = [np.interp(first.omega, other.omega, column) for column in values.T]
+        return np.column_stack(columns)
+
+    names = tuple(f"{name} to {other.input}" for other in responses for name in other.outputs)
+    # every input with channels of the same size: levels in N and in m/s^2 are not to be compared
+    response = np.hstack([at_its_lines(other, other.response) for other in responses])
+    sigma = np.hstack([at_its_lines(other, other.sigma) for other in responses])
+    return replace(first, outputs=names, response=response, sigma=sigma)
+
+
+def _observations(tests: Sequence[TestData]) -> list[Observation]:
+    """Of each test with noise the spectra with their leakage, once; of a periodic one its responses."""
+    found = []
+    for data in tests:
+        if data.periodic:
+            pairs = zip(data.responses, data.runs, strict=True)
+            found += [Observation.of_response(response, run.source) for response, run in pairs]
+        elif data.input == data.together[0]:
+            omega = data.responses[0].omega
+            band = (float(omega[0] / (2 * np.pi)), float(omega[-1] / (2 * np.pi)))
+            spectra = [spectra_of(run, data.together, band).select(data.outputs) for run in data.runs]
+            found += [Observation.of_spectra(one, run.source) for one, run in zip(spectra, data.runs, strict=True)]
+    return found
 
 
 def _by_curve_fit(data: TestData, order: int, options: IdentificationOptions, floors: int) -> NDArray[np.complex128]:

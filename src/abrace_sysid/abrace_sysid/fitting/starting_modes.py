@@ -49,13 +49,16 @@ def starting_modes(
     channels = observations[0].measured.shape[1]
     shows = np.zeros((len(poles), len(inputs)), dtype=np.bool_)
     residues = np.zeros((channels, len(poles), len(inputs)), dtype=np.complex128)
+    levels = np.zeros(channels)
     for observation in observations:
-        shown = list(observation.poles or range(len(poles)))
-        named = [inputs.index(name) for name in observation.inputs]
-        for j in named:
-            shows[shown, j] = True
-        for j, of_input in zip(named, np.moveaxis(_residues(observation, poles[shown]), 2, 0), strict=True):
-            residues[:, shown, j] += of_input
+        shown = list(observation.shown(poles))
+        of_inputs, noise = _residues(observation, poles[shown])
+        levels += np.log(noise) - np.log(noise).mean()
+        for name, of_input in zip(observation.inputs, np.moveaxis(of_inputs, 2, 0), strict=True):
+            shows[shown, inputs.index(name)] = True
+            residues[:, shown, inputs.index(name)] += of_input
+    # one scale of the channels for all tests, or a mode would have a shape of its own in each of them
+    residues /= np.exp(levels / len(observations))[:, None, None]
     driven = shows if driven is None else shows & driven
     residues *= driven
     unit = np.sqrt(np.sum(np.abs(residues) ** 2, axis=(0, 1)))
@@ -71,8 +74,10 @@ def starting_modes(
     return Modes(poles, drive, driven, fixed), unit
 
 
-def _residues(observation: Observation, poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """(channels, poles, inputs) residues of each input alone, every channel in units of what they leave over of it."""
+def _residues(
+    observation: Observation, poles: NDArray[np.complex128]
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """(channels, poles, inputs) residues of each input alone, and (channels,) rms of what they leave over."""
     z, count = observation.z, len(observation.inputs)
     basis: list[NDArray[np.complex128]] = []
     for pole in poles:
@@ -90,11 +95,11 @@ def _residues(observation: Observation, poles: NDArray[np.complex128]) -> NDArra
     columns = columns / np.where(scale > 0, scale, 1.0)
     coefficients = np.linalg.lstsq(columns, measured, rcond=None)[0]
     noise = np.sqrt(np.mean((measured - columns @ coefficients) ** 2, axis=0))
-    coefficients = (coefficients / np.where(scale > 0, scale, 1.0)[:, None]).T / np.maximum(noise, 1e-150)[:, None]
+    coefficients = (coefficients / np.where(scale > 0, scale, 1.0)[:, None]).T
     found = np.zeros((len(coefficients), len(poles), count), dtype=np.complex128)
     for mode, columns_of_mode in enumerate(columns_of(poles)):
         size = columns_of_mode.stop - columns_of_mode.start
         parts = coefficients[:, count * columns_of_mode.start : count * columns_of_mode.stop]
         parts = parts.reshape(len(coefficients), count, size)
         found[:, mode] = parts[:, :, 0] + (1j * parts[:, :, 1] if size == 2 else 0)
-    return found
+    return found, np.maximum(noise, np.finfo(float).tiny)

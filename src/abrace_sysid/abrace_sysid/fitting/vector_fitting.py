@@ -38,6 +38,9 @@ START_DAMPING = 0.01
 HEAVY_DAMPING = 0.3
 """Pairs damped more than that are no modes of a building: they make up for what the other poles do not explain."""
 
+APART = 0.7
+"""Ratio of the slow poles of several servos, to start from."""
+
 MORE = 3
 """Orders beyond the least one at which starting poles are looked for."""
 
@@ -132,7 +135,7 @@ def fit_common_poles(
     return VectorFit(poles, residues, strength)
 
 
-def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0) -> NDArray[np.complex128]:
+def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0, groups: int = 1) -> NDArray[np.complex128]:
     """Poles from which `maximum_likelihood.fit_poles` starts.
 
     Parameters
@@ -144,11 +147,13 @@ def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0) -> N
     reals
         0; 1: a slow one at the slowest pair's frequency (a servo's integrator); 2: and a fast one, whose time constant
         is half a sample (a servo's lag).
+    groups
+        Servos: as many of either kind.
 
     Returns
     -------
     NDArray
-        (pairs + reals,) [rad/s], pairs slowest first.
+        (pairs + reals groups,) [rad/s], pairs slowest first, then the slow and the fast ones.
 
     Raises
     ------
@@ -172,8 +177,9 @@ def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0) -> N
             f"{measured.omega[-1]:.3g} rad/s, expected {pairs}; a longer or stronger test, or fewer pairs, may help"
         )
     found = found[np.argsort(np.abs(found))]
-    slow_and_fast = np.array([-np.abs(found[0]), -2 / measured.sample_period])
-    return np.concatenate([found, slow_and_fast[:reals]])
+    slow = -np.abs(found[0]) * APART ** np.arange(groups)
+    fast = np.full(groups, -2 / measured.sample_period)
+    return np.concatenate([found, slow, fast])[: pairs + reals * groups]
 
 
 def modes_of(fit: VectorFit, measured: FrequencyResponse) -> NDArray[np.complex128]:

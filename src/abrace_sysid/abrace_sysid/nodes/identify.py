@@ -150,7 +150,7 @@ class Identify(AbraceNode):
 
     def draw(self, found: Identification, options: IdentificationOptions, output: Path) -> None:
         """The figures."""
-        table, command = found.table_response, found.command_response
+        table, commands = found.table_response, [data.responses[0] for data in found.commands]
         outputs = found.model.outputs
         floors = [name for name in outputs if name[0] == "x" and name[1:].isdigit()]
         accelerations = [name for name in outputs if name[0] == "a"]
@@ -158,8 +158,7 @@ class Identify(AbraceNode):
         forces = [name for name in outputs if name.startswith("f")]
         drawings = {
             "figure_4_table": figures.transfer_functions(table, shown, found.model),
-            "figure_5_command": figures.transfer_functions(command, shown, found.model),
-            "residuals": figures.residuals([table, command], found.model),
+            "residuals": figures.residuals([table, *commands], found.model),
             "hankel_singular_values": figures.hankel_singular_values(
                 found.hankel_singular_values, options.reduced_order
             ),
@@ -169,8 +168,11 @@ class Identify(AbraceNode):
                 found.whole.inputs,
             ),
         }
-        if forces:
-            drawings["figure_3_force"] = figures.transfer_functions(command, forces, found.model)
+        for command in commands:
+            of_several = f"_{command.input}" if len(commands) > 1 else ""
+            drawings[f"figure_5_command{of_several}"] = figures.transfer_functions(command, shown, found.model)
+            if forces:
+                drawings[f"figure_3_force{of_several}"] = figures.transfer_functions(command, forces, found.model)
         if options.fit == "maximum_likelihood":
             drawings["confidence"] = figures.confidence(
                 {
@@ -180,7 +182,7 @@ class Identify(AbraceNode):
                 }
             )
         if self.parameters.stabilization:
-            for name, response in (("table", table), ("command", command)):
+            for name, response in (("table", table), *(("command", one) for one in commands[:1])):
                 marked = [pair.frequency for pair in found.poles.common_pairs]
                 drawings[f"stabilization_{name}"] = figures.stabilization_diagram(stabilization(response), marked)
         for name, figure in drawings.items():

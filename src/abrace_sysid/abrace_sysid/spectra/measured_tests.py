@@ -28,6 +28,8 @@ class TestData:
         Whether the tests were periodic.
     warnings
         On the tests, one sentence each.
+    together
+        Names of the inputs that were excited at once, this one among them.
     """
 
     input: str
@@ -35,6 +37,7 @@ class TestData:
     responses: tuple[FrequencyResponse, ...]
     periodic: bool
     warnings: tuple[str, ...]
+    together: tuple[str, ...]
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -1,0 +1,96 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from laboratory import Laboratory
+
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import pole_table
+from abrace_core.multisine import repeated_multisine
+from abrace_plant.rig.file import load_rig
+from abrace_sysid.fitting.options import IdentificationOptions
+from abrace_sysid.identification import identify
+from abrace_sysid.validation import compare
+
+OPTIONS = IdentificationOptions(command_order=14, table_band=(0.3, 25.0))
+SECONDS = 120
+RMS = 3500.0
+
+
+@pytest.fixture(scope="module")
+def five():
+    """Five storeys, brace groups at floors 1 and 3."""
+    return load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/five_storey.yaml")
+
+
+@pytest.fixture(scope="module")
+def rest():
+    return np.zeros(len(noise(1, RMS)))
+
+
+@pytest.fixture(scope="module")
+def table(five, rest):
+    ground = Laboratory._noise(SECONDS, 25.0, 0.25, 3)
+    return Laboratory(five, 1).open_loop("bags/table", ground, np.column_stack([rest, rest]))
+
+
+def noise(seed, rms):
+    return Laboratory._noise(SECONDS, 30.0, rms, seed)
+
+
+def multisine(number):
+    return repeated_multisine(SECONDS, 32.768, 500.0, (0.3, 30.0), RMS, 7, "odd", 0.0, (number, 2))
+
+
+def commands_of(five, rest, kind):
+    laboratory = Laboratory(five, 2)
+    one, two = noise(1, RMS), noise(2, RMS)
+    if kind == "each group alone":
+        alone = (("bags/U1", [one, rest]), ("bags/U2", [rest, two]))
+        return [laboratory.open_loop(source, rest, np.column_stack(both)) for source, both in alone]
+    both = np.column_stack([one, two] if kind == "noise at once" else [multisine(0), multisine(1)])
+    return [laboratory.open_loop("bags/both", np.zeros(len(both)), both)]
+
+
+@pytest.mark.parametrize("kind", ["each group alone", "noise at once", "multisines at once"])
+def test_two_brace_groups_are_identified_with_modes_common_to_all_tests(five, rest, table, kind):
+    found = identify(table, commands_of(five, rest, kind), OPTIONS)
+    assert not found.warnings
+    assert [data.input for data in found.commands] == ["U1", "U2"]
+    assert found.model.inputs == ("w", "U1", "U2")
+    assert found.model.order == 14 + 4, "seven pairs, and of each servo a slow pole and a lag"
+    assert not any(found.model.input_delay), "the lag is among the states"
+    own = np.array(pole_table(five.model.poles()))
+    pairs = np.array([(pair.frequency, pair.damping) for pair in found.poles.common_pairs])
+    frequency, damping = np.abs(pairs / own - 1).max(axis=0)
+    assert frequency < 5e-4
+    assert damping < 0.01
+    ground = Laboratory._noise(30, 12.0, 0.5, 9)
+    other = Laboratory(five, 5).open_loop("bags/other", ground, np.zeros((len(ground), 2)))
+    error = compare(other, found.model, None, five.capacity).noise_free_error()
+    assert max(error[name] for name in other.names) < 0.015, error
+    assert found.reduced.is_stable()
+
+
+def test_a_group_that_no_test_excites_is_named(five, rest, table):
+    only_one = commands_of(five, rest, "each group alone")[:1]
+    with pytest.raises(AbraceError, match="bags/U1: U2 zero throughout, expected a test of every command"):
+        identify(table, only_one, OPTIONS)
+
+
+def test_a_group_tested_alone_and_with_the_other_is_refused(five, rest, table):
+    mixed = commands_of(five, rest, "each group alone")[:1] + commands_of(five, rest, "noise at once")
+    with pytest.raises(AbraceError, match="expected every command either alone or always with the same ones"):
+        identify(table, mixed, OPTIONS)
+
+
+def test_groups_excited_by_the_same_noise_are_refused(five, rest, table):
+    both = Laboratory(five, 2).open_loop("bags/same", rest, np.column_stack([noise(1, RMS), noise(1, RMS)]))
+    with pytest.raises(AbraceError, match="zero or repeats another"):
+        identify(table, both, OPTIONS)
+
+
+def test_other_fits_of_several_groups_are_refused(five, rest, table):
+    with pytest.raises(AbraceError, match="fit vector_fitting of 2 commands, expected maximum_likelihood"):
+        identify(table, commands_of(five, rest, "noise at once"), replace(OPTIONS, fit="vector_fitting"))
