@@ -140,13 +140,31 @@ def test_superposed_model_is_that_of_eqs_6_and_7(identified, command_test):
 
 
 def test_consistent_model_has_each_motion_once_and_8_states_are_kept(identified, rig):
-    assert identified.model.order == 13, "six pairs and the servo's slow pole"
-    assert identified.model.input_delay == (0.0, 0.0008)
+    assert identified.model.order == 14, "six pairs, the servo's slow pole and its lag"
+    assert identified.model.input_delay == (0.0, 0.0), "the lag is a state"
     own = rig.model.poles()
     for pole in identified.model.poles():
         assert np.abs(own - pole).min() < 0.02 * abs(pole)
     assert identified.reduced.order == 8
     assert identified.reduced.is_stable()
+
+
+def test_the_model_is_the_likelihoods_and_meets_the_rig_in_the_whole_band(identified, rig):
+    for name, highest in (("w", 10.0), ("U", 30.0)):
+        omega = 2 * np.pi * np.linspace(0.3, highest, 2000)
+        own, found = (
+            discretize(model.select(inputs=[name]), 0.002).frequency_response(omega)[:, :, 0]
+            for model in (rig.model, identified.model)
+        )
+        error = np.sqrt(np.mean(np.abs(found - own) ** 2, axis=0) / np.mean(np.abs(own) ** 2, axis=0))
+        assert error.max() < 0.0015, f"{name}: {error}"
+
+
+def test_a_lag_that_is_not_the_one_given_is_named(table_test, command_test):
+    found = identify(table_test, command_test, IdentificationOptions(servo_lag=0.003))
+    assert (
+        "bags/command: U lags by 0.8 ms, servo_lag says 3: model.json has what was measured; set" in found.warnings[0]
+    )
 
 
 def test_closed_loop_that_was_not_used_is_predicted(identified, laboratory, controller):

@@ -13,7 +13,7 @@ from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.identification import identify
 from abrace_sysid.validation import compare
 
-OPTIONS = IdentificationOptions(command_order=14, table_band=(0.3, 25.0))
+OPTIONS = IdentificationOptions(command_order=14, table_band=(0.3, 25.0), servo_lag=0.001)
 SECONDS = 120
 RMS = 3500.0
 

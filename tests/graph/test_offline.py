@@ -77,7 +77,7 @@ def test_bags_become_a_model_the_model_a_controller_and_both_are_compared(bags, 
     ended = run_node("abrace_sysid", "identify", table=bags["table"], command=bags["command"], output=model, mat="true")
     assert ended.returncode == 0, ended.stderr
     assert "100% identified" in ended.stdout
-    assert load_model(model / "model.json").order == 13
+    assert load_model(model / "model.json").order == 14
     assert load_model(model / "superposed.json").order == 24
     assert load_model(model / "reduced.json").order == 8
     for name in ("figure_3_force.png", "figure_4_table.png", "figure_5_command.png", "model.mat", "reduced.mat"):

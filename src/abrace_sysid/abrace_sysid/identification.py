@@ -35,8 +35,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_core.linear_model import LinearModel
+    from abrace_sysid.fitting.pole_estimate import PoleEstimate
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
+
+LAG_DIFFERENCE = 0.5
+"""Greatest difference of the lag that the tests show from the one given, as a share of it, without a warning."""
 
 POOR_FIT = 0.1
 """Greatest residual of a channel without a warning, as a share of its response, rms over the band."""
@@ -161,9 +165,8 @@ def identify(
     }
     measured, delays = [one for data in tests for one in data.responses], dict.fromkeys(names, options.servo_lag)
     whole = realize_together(measured, poles.of_model, delays)
-    if poles.estimate is not None and len(names) > 1:
-        model = modal_model(poles.estimate, {**provenance, "states": "the modes of maximum likelihood"})
-        whole = model
+    if poles.estimate is not None:
+        model = modal_model(poles.estimate, {**provenance, "states": "modes of maximum likelihood, lags among them"})
     else:
         merged = consistent_model(measured, poles.of_model, delays, options.command_band).model
         model = replace(merged, provenance={**provenance, **merged.provenance})
@@ -174,6 +177,8 @@ def identify(
     reduced = replace(reduction.model, provenance={**provenance, "states": "consistent, balanced and cut, Eq. (9)"})
     progress("identified", 1.0)
     misfits = [sentence for data in tests for sentence in _misfits(model, data)]
+    if poles.estimate is not None:
+        misfits += _lags_that_differ(poles.estimate, from_commands, options)
     warnings = tuple(dict.fromkeys([*(sentence for data in tests for sentence in data.warnings), *misfits]))
     reduction = replace(reduction, model=reduced)
     return Identification(from_table, from_commands, poles, model, superposed, whole, reduction, warnings)
@@ -192,6 +197,23 @@ def _misfits(model: LinearModel, data: TestData) -> tuple[str, ...]:
     advice = "another fit, order or band may do better"
     found = f"{data.source}: the model leaves much of the response to {data.input} unexplained ({', '.join(poor)})"
     return (f"{found}: {advice}",) if poor else ()
+
+
+def _lags_that_differ(
+    estimate: PoleEstimate, commands: Sequence[TestData], options: IdentificationOptions
+) -> list[str]:
+    """A sentence for each command whose servo's lag, a fast real pole, is far from the one that was given."""
+    found = []
+    for data in commands:
+        drive = estimate.drive[:, estimate.inputs.index(data.input)]
+        fast = (estimate.poles.imag == 0) & (-estimate.poles.real > 2 * np.pi * options.command_band[1]) & (drive != 0)
+        lag = float(np.sum(-1 / estimate.poles[fast].real))
+        if fast.any() and abs(lag - options.servo_lag) > LAG_DIFFERENCE * options.servo_lag:
+            found.append(
+                f"{data.source}: {data.input} lags by {1e3 * lag:.2g} ms, servo_lag says {1e3 * options.servo_lag:.2g}"
+                ": model.json has what was measured; set servo_lag to it for the reduced and the superposed model"
+            )
+    return found
 
 
 def _superposed(
