@@ -15,6 +15,7 @@ import numpy as np
 from abrace_core.errors import AbraceError
 from abrace_sysid.fitting.mode_search import fit_with_residual_terms, search_modes, weighed
 from abrace_sysid.fitting.observation import Observation
+from abrace_sysid.fitting.vector_fitting import HEAVY_DAMPING
 from abrace_sysid.models.modal import modal_model
 from abrace_sysid.recordings import check_channels
 from abrace_sysid.spectra.estimation import TransferFunctionOptions, frequency_responses
@@ -83,9 +84,10 @@ class DataIdentification:
 
     @property
     def pairs(self) -> tuple[PoleInterval, ...]:
-        """Modes within the band with their intervals, slowest first."""
+        """Modes within the band with their intervals, slowest first; without pairs so damped that they are none."""
         low, high = (2 * np.pi * edge for edge in self.band)
-        return tuple(pair for pair in self.estimate.pairs() if low <= pair.frequency <= high)
+        modes = [pair for pair in self.estimate.pairs() if low <= pair.frequency <= high]
+        return tuple(pair for pair in modes if pair.damping < HEAVY_DAMPING)
 
 
 def identify_data(
