@@ -166,7 +166,7 @@ def test_the_models_of_both_kinds_agree_with_the_rig_in_closed_loop(tables: dict
 def test_the_other_four_weigh_as_lqg3_but_for_one_factor():
     strongest = weights_file("lqg3")
     signals = ["x1", "x2", "x3", "xf", "a1", "a2", "a3", "f"]
-    for name, exponent in (("lqg1", -1.206), ("lqg2", -0.377), ("lqg4", -0.717), ("lqg5", 0.033)):
+    for name, exponent in (("lqg1", -1.215), ("lqg2", -0.384), ("lqg4", -0.737), ("lqg5", 0.029)):
         weights = weights_file(name)
         expected = 10**exponent * strongest.diagonal(signals)
         np.testing.assert_allclose(weights.diagonal(signals), expected, rtol=1e-3)
@@ -187,14 +187,14 @@ def fit_weights() -> ModuleType:
 
 
 def test_the_script_writes_what_the_file_has(fit_weights: ModuleType):
-    found, kept = fit_weights.weights_of([4.643, 7.684, 7.861, 8.183, -0.702]), weights_file("lqg3")
+    found, kept = fit_weights.weights_of([4.69, 7.738, 7.768, 8.211, -0.661]), weights_file("lqg3")
     signals = ["x1", "xf", "a1", "a2", "a3", "f", "U"]
     np.testing.assert_allclose(found.diagonal(signals), kept.diagonal(signals), rtol=1e-3)
     assert found.noise_to_excitation == pytest.approx(kept.noise_to_excitation, rel=1e-3)
     assert found.measured == kept.measured
 
 
-def test_the_search_finds_little_better_next_to_lqg3(
+def test_the_search_finds_nothing_better_next_to_lqg3(
     fit_weights: ModuleType, rig: Rig, identified: Identification, el_centro: NDArray[np.float64]
 ):
     trial = fit_weights.Trial(sampled(identified.model, 0.002), el_centro, rig.capacity)
@@ -203,11 +203,10 @@ def test_the_search_finds_little_better_next_to_lqg3(
         designed = design(identified.reduced, fit_weights.weights_of(unknowns), 0.002)
         return fit_weights.Outcome.of(trial, designed, trial.table(designed)).criterion()
 
-    found = np.array([4.643, 7.684, 7.861, 8.183, -0.702])
+    found = np.array([4.69, 7.738, 7.768, 8.211, -0.661])
     least = criterion(found)
-    # found with a model whose servo lag was a delay: with the one that has it as a state, the least is nearby
     for step in np.vstack([0.1 * np.eye(5), -0.1 * np.eye(5)]):
-        assert criterion(found + step) > 0.9 * least
+        assert criterion(found + step) > least
 
 
 def test_the_search_goes_on_from_its_start_to_a_smaller_criterion(
