@@ -175,6 +175,15 @@ def test_a_stop_that_is_released_during_the_ramp_stays_latched():
     assert (safety.state, safety.cause) == (State.LATCHED, "protective stop: pressed by panel")
 
 
+def test_who_pressed_may_become_known_later():
+    safety = running()
+    safety.stop("pressed by a node of unknown name")
+    safety.stop("pressed by panel")
+    assert safety.cause == "protective stop: pressed by panel"
+    safety.stop("pressed by panel, pressed by desk")
+    assert safety.cause == "protective stop: pressed by panel", "the first cause is kept"
+
+
 def test_a_fault_outlives_the_life_cycle():
     safety = latched()
     safety.deactivate()

@@ -1,6 +1,6 @@
 """Who asks for a stop."""
 
-from abrace_core.safety.stop_senders import StopSenders
+from abrace_core.safety.stop_senders import UNNAMED, StopSenders
 
 
 def test_nobody_asks_until_one_presses():
@@ -43,3 +43,15 @@ def test_silence_is_a_stop_where_a_heartbeat_is_asked_for():
     assert not senders.who(1.3)
     senders.forget(["a"], 1.4)
     assert senders.who(2.0) == "no heartbeat for more than 0.5 s", "one there has to be"
+
+
+def test_a_name_that_becomes_known_later_is_told():
+    senders = StopSenders(0.0, 0.0)
+    senders.hear("a", UNNAMED, True, 1.0)
+    senders.hear("b", UNNAMED, False, 1.0)
+    assert senders.who(1.0) == f"pressed by {UNNAMED}"
+    assert senders.unnamed == ("a",)
+    senders.rename("a", "panel")
+    assert senders.who(2.0) == "pressed by panel"
+    assert not senders.unnamed
+    assert (senders.name("a"), senders.name("b")) == ("panel", "")

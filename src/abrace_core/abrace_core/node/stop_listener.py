@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, ClassVar
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
-from abrace_core.safety.stop_senders import StopSenders
+from abrace_core.safety.stop_senders import UNNAMED, StopSenders
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Hashable, Iterator
 
     from rclpy.node import Node
     from rclpy.subscription import Subscription
@@ -103,6 +103,8 @@ class StopListener:
                 if number > self._numbers.get(sender, 0):
                     self._numbers[sender] = number
                     self._senders.hear(sender, self._name(sender), pressed, now)
+        for unnamed in self._senders.unnamed:
+            self._senders.rename(unnamed, self._name(unnamed))
         return self._senders.who(now)
 
     def forget_gone(self) -> None:
@@ -113,7 +115,7 @@ class StopListener:
         gone = set(self._senders.senders) - present
         self._senders.forget(gone, time.monotonic())
 
-    def _name(self, sender: bytes) -> str:
+    def _name(self, sender: Hashable) -> str:
         known = self._senders.name(sender)
         if known:
             return known
@@ -121,4 +123,4 @@ class StopListener:
             for one in self._node.get_publishers_info_by_topic(topic):
                 if bytes(one.endpoint_gid) == sender and one.node_name != _UNKNOWN:
                     return f"{one.node_namespace.rstrip('/')}/{one.node_name}"
-        return "a node of unknown name"
+        return UNNAMED

@@ -11,6 +11,7 @@ from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, Protocol
 
 from abrace_core.errors import AbraceError
+from abrace_core.safety.stop_senders import UNNAMED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -251,7 +252,10 @@ class RigSafety:
     def stop(self, who: str) -> None:
         """A stop is pressed by those of whom `who` tells; empty: the last one has been released."""
         if who:
-            self.cause = self.cause or f"protective stop: {who}"
+            # who it was may become known later than that it was pressed
+            renamed = UNNAMED in self.pressed and self.cause == f"protective stop: {self.pressed}"
+            if not self.cause or renamed:
+                self.cause = f"protective stop: {who}"
             self.pressed = who
             self._take(Event.STOP)
         elif self.pressed:

@@ -9,6 +9,10 @@ if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable
 
 
+UNNAMED = "a node of unknown name"
+"""A sender whose name has not been heard yet: the middleware tells it after the first message, or never."""
+
+
 @dataclass
 class _Sender:
     name: str
@@ -37,8 +41,18 @@ class StopSenders:
         self._senders[sender] = _Sender(name, pressed, now)
 
     def name(self, sender: Hashable) -> str:
-        """Name of a sender that has been heard; empty: it has not."""
-        return self._senders[sender].name if sender in self._senders else ""
+        """Name of a sender that has been heard; empty: it has not, or is UNNAMED."""
+        known = self._senders[sender].name if sender in self._senders else ""
+        return "" if known == UNNAMED else known
+
+    def rename(self, sender: Hashable, name: str) -> None:
+        """The `name` of a `sender` that has been heard has become known."""
+        self._senders[sender].name = name
+
+    @property
+    def unnamed(self) -> tuple[Hashable, ...]:
+        """Those that ask for a stop and are UNNAMED."""
+        return tuple(sender for sender, one in self._senders.items() if one.pressed and one.name == UNNAMED)
 
     def who(self, now: float) -> str:
         """Who asks for a stop at `now` [s]; empty: nobody."""
