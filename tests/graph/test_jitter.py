@@ -23,7 +23,8 @@ def test_a_rig_is_measured_beside_a_timer_and_an_echo(graph, tmp_path):
     assert (ended.returncode, ended.stderr) == (0, "")
     found = json.loads((tmp_path / "jitter.json").read_text())
     assert found["period"] == pytest.approx(0.002, rel=0.01)
-    assert [found[name]["events"] for name in ("timer", "echo")] == [250, 250]
+    # the period is that of the rig's stamps, on a busy machine a little off 2 ms
+    assert [found[name]["events"] for name in ("timer", "echo")] == 2 * [round(0.5 / found["period"])]
     assert found["rig"]["events"] > 100
     assert all(found[name]["worst_us"] >= found[name]["median_us"] > 0 for name in ("rig", "timer", "echo"))
     assert (tmp_path / "jitter.png").stat().st_size > 10_000
