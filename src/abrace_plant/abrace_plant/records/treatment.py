@@ -162,7 +162,8 @@ def _cut(motion: NDArray[np.float64], samples: int, fade: int) -> NDArray[np.flo
         corrected[samples - span :] -= motion.sum() / max(bump.sum(), 1.0) * bump
         highest = np.abs(corrected).max()
         if highest <= peak or span == samples:
-            return corrected * min(1.0, peak / highest) if highest else corrected
+            # clipped besides: what scaling leaves beyond the peak is rounding
+            return np.clip(corrected * (peak / highest), -peak, peak) if highest > peak else corrected
         span = min(2 * span, samples)
 
 
