@@ -45,17 +45,20 @@ def test_signals_end_every_node_cleanly_and_the_bag_is_closed(graph, number, sto
 
 def test_a_run_by_the_clock_ends_though_its_last_sample_was_missed(graph):
     responses = graph.listen(Response, "response")
-    graph.start("plant", duration=2.0)
+    graph.start("plant", duration=4.0, autostart=False)
     graph.may_end.add("plant")
-    graph.until(lambda: responses and responses[-1].sequence > 500, "samples")
+    assert graph.change_state("plant", "configure")
+    graph.until_matched("plant", response=1)
+    assert graph.change_state("plant", "activate")
+    graph.until(lambda: responses and responses[-1].sequence > 1000, "samples")
     plant, begin = graph.started["plant"].group, time.monotonic()
     os.kill(plant, signal.SIGSTOP)
-    graph.until(lambda: time.monotonic() > begin + 1.2, "the end of the run")
+    graph.until(lambda: time.monotonic() > begin + 2.2, "the end of the run")
     os.kill(plant, signal.SIGCONT)
     assert graph.ended("plant") == 0
     graph.until(lambda: responses[-1].flags & Response.LAST, "the last sample")
-    assert responses[-1].sequence > 999
-    assert 999 not in {response.sequence for response in responses}
+    assert responses[-1].sequence > 1999
+    assert 1999 not in {response.sequence for response in responses}
 
 
 def test_a_terminal_that_is_lost_ends_the_logger_with_a_whole_bag(graph):

@@ -136,8 +136,12 @@ class Graph:
         return answer
 
     def reported(self) -> str:
-        """What each node says of itself."""
-        return "; ".join(f"{name}: {status.message}" for name, status in self.statuses.items())
+        """What each node says of itself, and with what those that have ended did so."""
+        said = [f"{name}: {status.message}" for name, status in self.statuses.items()]
+        ended = {name: process.returncode for name, process in self.started.items() if process.returncode is not None}
+        return "; ".join(
+            [*said, *(f"{name} ended with {code}: {self.output_of(name)[-3:]}" for name, code in ended.items())]
+        )
 
     def ended(self, name: str) -> int:
         """Wait for the end of a node; returns its exit code."""
