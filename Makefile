@@ -73,7 +73,7 @@ test-sourced: .sourced/.made  ## set-up, demo and tests of the libraries where R
 
 verify: tools  ## accuracy claims, measured: results/verify.json
 	@$(ENVIRONMENT)
-	python benchmarks/verify.py $(if $(RECORD),--record $(RECORD)) $(if $(MEASURED),--measured $(MEASURED))
+	python benchmarks/verify.py $(if $(RECORD),--record $(RECORD)) $(if $(MEASURED),--measured $(MEASURED)) $(PARTS)
 
 bench: tools  ## speed claims beside their peers: results/bench.json
 	@$(ENVIRONMENT)
