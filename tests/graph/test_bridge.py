@@ -53,7 +53,7 @@ class Emulator:
     def close(self) -> None:
         """End it."""
         self._process.send_signal(signal.SIGTERM)
-        self._process.communicate(timeout=20)
+        self._process.communicate(timeout=120)
 
 
 @pytest.fixture
@@ -118,7 +118,7 @@ def test_hardware_that_is_not_there_refuses_the_activation_and_is_taken_at_1_khz
     assert (steps > 0).all()
     assert np.median(np.diff(stamps) / steps) == pytest.approx(1e6, rel=0.02)
     assert {response.state for response in rig.responses} == {Response.RUNNING}
-    _, errors = ending.communicate(timeout=60)
+    _, errors = ending.communicate(timeout=120)
     assert ending.returncode == 2
     (line,) = errors.splitlines()
     assert line.startswith("sensor_bridge: udp device 127.0.0.1:")

@@ -167,7 +167,7 @@ def test_a_node_that_dies_ends_the_campaign_with_its_name_and_last_lines(tmp_pat
     wait_for(lambda: len(nodes_of(tmp_path)) == 3 and log.exists(), 30, "three nodes")
     (victim,) = [pid for pid in nodes_of(tmp_path) if b"ground_motion\0" in Path(f"/proc/{pid}/cmdline").read_bytes()]
     os.kill(victim, signal.SIGKILL)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=120)
     assert process.returncode == 1
     assert "ground_motion died (ended by SIGKILL)" in errors
     assert "Traceback" not in errors
@@ -185,7 +185,7 @@ def test_a_stopped_campaign_leaves_no_process_and_a_closed_bag(tmp_path, environ
 
     wait_for(recording, 60, "a bag that grows")
     process.send_signal(number)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=120)
     assert process.returncode in (130, 143)
     assert "Traceback" not in errors
     assert not nodes_of(tmp_path)
@@ -218,7 +218,7 @@ def test_a_campaign_that_is_killed_leaves_no_process(tmp_path, environment):
 )
 def test_a_wrong_campaign_ends_with_one_clear_error(tmp_path, environment, step, message):
     process = start(tmp_path, environment, "campaign", str(campaign(tmp_path, step)))
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=120)
     assert process.returncode == 2
     assert message in errors
     assert "Traceback" not in errors

@@ -19,7 +19,7 @@ def hardware(tmp_path):
         assert process.stdout.readline() == "emulator: ticking\n"
         yield path
         process.terminate()
-        output, _ = process.communicate(timeout=20)
+        output, _ = process.communicate(timeout=120)
     assert process.returncode == 0
     assert json.loads(output)["worst_force"] == 0.0
 
@@ -27,7 +27,7 @@ def hardware(tmp_path):
 def check(**parameters: object) -> subprocess.CompletedProcess:
     given = [text for name, value in parameters.items() for text in ("-p", f"{name}:={value}")]
     command = [str(find_executable("abrace_plant", "check_sensors")), "--ros-args", *given]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
 def test_the_hardware_is_read_at_rest_and_the_channel_that_fails_is_named(hardware, tmp_path):

@@ -119,7 +119,7 @@ def test_a_signal_interrupts_the_work_of_an_offline_node_and_a_second_one_not_it
     first = process.stdout.readline()
     if first:
         process.send_signal(signal.SIGINT)
-    assert first + process.communicate(timeout=60)[0] == output
+    assert first + process.communicate(timeout=120)[0] == output
     assert process.returncode == 0
 
 
@@ -139,7 +139,7 @@ def test_a_latched_topic_that_was_published_before_is_recorded(graph):
 
 def run_node(package: str, executable: str, *arguments: object) -> subprocess.CompletedProcess:
     command = [str(find_executable(package, executable)), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
 def edited_rig(folder: Path, old: str, new: str) -> Path:
@@ -270,5 +270,5 @@ def test_a_controller_without_its_file_says_what_to_give():
 def test_the_command_names_what_there_is_to_run():
     command = [str(find_executable("abrace_plant", "plant").parents[3] / "abrace/bin/abrace")]
     for arguments, expected in ((["abrace_plant", "plan"], "plant"), (["abrace_plan", "plant"], "abrace_plant")):
-        ended = subprocess.run([*command, "run", *arguments], capture_output=True, text=True, timeout=30, check=False)
+        ended = subprocess.run([*command, "run", *arguments], capture_output=True, text=True, timeout=120, check=False)
         expect_refusal(ended, expected)

@@ -78,10 +78,10 @@ def test_ctrl_c_ends_the_node_and_its_processes_without_a_word(model, tmp_path):
         while len(members(node.pid)) < 3:  # the node, the tracker of multiprocessing, a process of Dask
             assert node.poll() is None
         os.killpg(node.pid, signal.SIGINT)  # as a terminal does: the processes get it too
-        _, errors = node.communicate(timeout=60)
+        _, errors = node.communicate(timeout=120)
     assert node.returncode == 0, errors
     assert errors == ""
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + 60.0
     while left := members(node.pid):  # the tracker ends when it finds the node gone
         assert time.monotonic() < deadline, f"processes {left} are left"
     assert not output.exists()

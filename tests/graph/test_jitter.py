@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("domain")
 def measure(graph, *parameters: str) -> subprocess.CompletedProcess:
     given = [word for parameter in parameters for word in ("-p", parameter)]
     command = [find_executable("abrace_plant", "jitter"), "--ros-args", "-r", f"__ns:={graph.namespace}", *given]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
 def test_a_rig_is_measured_beside_a_timer_and_an_echo(graph, tmp_path):

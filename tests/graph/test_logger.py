@@ -330,7 +330,7 @@ Logger.create_service = stop
 sys.exit(main())
 """
     command = [sys.executable, "-c", code, "--ros-args", "-p", f"output:={bag}"]
-    assert subprocess.run(command, timeout=60, check=False).returncode == 0
+    assert subprocess.run(command, timeout=120, check=False).returncode == 0
     assert not bag.exists()
 
 

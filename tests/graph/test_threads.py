@@ -140,7 +140,7 @@ def test_the_loop_goes_on_while_services_work_and_comes_to_rest_before_it_is_dea
 
     assert graph.change_state("shaker", "deactivate")
     shaker.send_signal(signal.SIGINT)
-    output = shaker.communicate(timeout=30)[0].splitlines()
+    output = shaker.communicate(timeout=120)[0].splitlines()
     assert [line for line in output if " at " in line] == ["deactivated at 0", "closed at 0"], output
     assert shaker.returncode == 0
 
@@ -150,7 +150,7 @@ def test_a_node_that_a_signal_ends_comes_to_rest_before(graph, shaker):
     graph.until(lambda: ticks, "the first tick")
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGINT):
         shaker.send_signal(number)
-    assert shaker.communicate(timeout=30)[0].splitlines()[-1] == "closed at 0"
+    assert shaker.communicate(timeout=120)[0].splitlines()[-1] == "closed at 0"
     assert shaker.returncode == 0
 
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from abrace_core.progress import Step
 
 RATE = 500.0
-PATIENCE = 30.0
+PATIENCE = 60.0
 NUMBERED = {"response": "sequence", "brace_command": "sequence", "ground_motion": "accel.linear.x"}
 """Topics, and the field that counts their messages."""
 FLOOD_GROWTH = 1.25

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from rclpy.publisher import Publisher
     from rclpy.task import Future
 
-PATIENCE = 30.0
+PATIENCE = 60.0
 PACKAGES = {
     "plant": "abrace_plant",
     "sensor_bridge": "abrace_plant",
