@@ -102,10 +102,10 @@ def test_hardware_that_is_not_there_refuses_the_activation_and_is_taken_at_1_khz
     missing = device_file(tmp_path / "none")
     command = [find_executable("abrace_plant", "sensor_bridge"), "--ros-args", "-p", f"device:={missing}"]
     ending = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    device, fast = device_file(tmp_path, timeout=0.02), tmp_path / "fast.yaml"
+    device, fast = device_file(tmp_path, timeout=1.0), tmp_path / "fast.yaml"
     rig_file = (CONFIG / "ncree_three_storey.yaml").read_text()
     fast.write_text(rig_file.replace("sample_rate: 500.0", "sample_rate: 1000.0"))
-    rig.start("sensor_bridge", device=str(device), rig=str(fast), autostart=False)
+    rig.start("sensor_bridge", device=str(device), rig=str(fast), late_limit=1000, autostart=False)
     assert rig.change_state("sensor_bridge", "configure")
     assert not rig.change_state("sensor_bridge", "activate")
     assert rig.state("sensor_bridge") == "inactive"
