@@ -56,6 +56,7 @@ def test_every_argument_has_a_description_and_only_what_has_to_be_given_a_defaul
         ("record", "./none", "none of this name"),
         ("record", "NONE.AT2", "none of this name"),
         ("controller", "", "a ROS parameter file"),
+        ("controller", "my_laws/", "or PACKAGE/EXECUTABLE of a node of your own"),
         ("controller", "none.yaml", "No such file"),
         ("controller", "/", "Is a directory"),
         ("parameters", "none.yaml", "No such file"),

@@ -36,6 +36,14 @@ def test_the_closed_loop_waits_for_the_supervisor(tmp_path, controller):
     assert (supervision["signals"], supervision["free_decay"]) == (["ground_motion"], 5.0)
 
 
+def test_a_control_law_of_ones_own_takes_the_controllers_place(tmp_path):
+    found = nodes(CLOSED_LOOP, closed_loop, tmp_path, controller="my_laws/skyhook")
+    assert found["skyhook"].package == "my_laws"
+    assert found["skyhook"].parameters == {"autostart": True}
+    assert found["supervisor"].parameters["inputs"] == ["brace_command=skyhook", "ground_motion=ground_motion"]
+    assert not found["logger"].parameters.get("attachments")
+
+
 @pytest.mark.parametrize("drive", ["", "table", "command", "both"])
 def test_nodes_exist_and_have_the_parameters_that_they_are_given(tmp_path, controller, drive):
     if drive:

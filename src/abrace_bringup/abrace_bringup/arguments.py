@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
 NAMESPACE = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
+OWN_NODE = re.compile(r"[A-Za-z_]\w*/[A-Za-z_]\w*")
 
 
 @dataclass(frozen=True)
@@ -132,6 +133,16 @@ def parameter_file(text: str) -> str:
     if not _holds_parameters(content):
         raise ValueError("a ROS parameter file: no ros__parameters in it")
     return text
+
+
+def controller(text: str) -> str:
+    """A controller file, which is a ROS parameter file, or PACKAGE/EXECUTABLE of a node of one's own."""
+    if OWN_NODE.fullmatch(text) and not Path(text).exists():
+        return text
+    try:
+        return parameter_file(text)
+    except ValueError as error:
+        raise ValueError(f"{error}; or PACKAGE/EXECUTABLE of a node of your own") from error
 
 
 def parameter_file_or_none(text: str) -> str:

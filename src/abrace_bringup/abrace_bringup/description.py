@@ -86,6 +86,7 @@ def _node(values: Mapping[str, Any], setup: NodeSetup) -> Action:
     return Node(
         package=setup.package,
         executable=setup.executable,
+        name=setup.executable,
         namespace=values["namespace"],
         output="screen",
         ros_arguments=["--enclave", f"{values['enclaves']}/{setup.executable}"] if values["enclaves"] else [],

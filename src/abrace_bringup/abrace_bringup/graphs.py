@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from abrace_bringup.arguments import (
+    OWN_NODE,
     Argument,
+    controller,
     duration,
     enclave_folder,
     flag,
@@ -14,7 +16,6 @@ from abrace_bringup.arguments import (
     new_bag,
     number,
     one_of,
-    parameter_file,
     parameter_file_or_none,
     record,
     rig,
@@ -45,7 +46,12 @@ COMMON = (
     Argument("robot_state_publisher", "false", "true: start robot_state_publisher as well, for RViz", flag),
 )
 CLOSED_LOOP = (
-    Argument("controller", "", "controller file (YAML) that `design` wrote; has to be given", parameter_file),
+    Argument(
+        "controller",
+        "",
+        "controller file (YAML) that `design` wrote, or PACKAGE/EXECUTABLE of a node of your own; has to be given",
+        controller,
+    ),
     Argument(
         "record",
         "el_centro",
@@ -95,12 +101,15 @@ def closed_loop(values: Mapping[str, Any]) -> list[NodeSetup]:
         Of the arguments `CLOSED_LOOP`.
     """
     motion = {name: values[name] for name in ("rig", "record", "peak_acceleration", "duration")}
-    partners = {
-        "brace_command": NodeSetup("abrace_lqg", "controller", {}, (values["controller"],)),
-        "ground_motion": NodeSetup("abrace_plant", "ground_motion", motion),
-    }
+    given = values["controller"]
+    if OWN_NODE.fullmatch(given):
+        package, executable = given.split("/")
+        commander, files = NodeSetup(package, executable, {}), []
+    else:
+        commander, files = NodeSetup("abrace_lqg", "controller", {}, (given,)), [given]
+    partners = {"brace_command": commander, "ground_motion": NodeSetup("abrace_plant", "ground_motion", motion)}
     signals = ["ground_motion"] if values["record"] else []
-    return _test(values, partners, signals, [values["controller"]])
+    return _test(values, partners, signals, files)
 
 
 def identification(values: Mapping[str, Any]) -> list[NodeSetup]:

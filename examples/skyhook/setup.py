@@ -1,0 +1,12 @@
+from setuptools import setup
+
+setup(
+    name="skyhook",
+    version="0.1.0",
+    packages=["skyhook"],
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/skyhook"]),
+        ("share/skyhook", ["package.xml"]),
+    ],
+    entry_points={"console_scripts": ["skyhook = skyhook.skyhook:main"]},
+)

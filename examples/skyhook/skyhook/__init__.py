@@ -1,0 +1,1 @@
+"""A skyhook damper as a control law of one's own."""

@@ -1,0 +1,144 @@
+"""A control law of one's own: a Python class that is given each sample and returns forces. No ROS is needed for it.
+
+    class Skyhook:
+        def __init__(self, damping: float = 2.0e5) -> None: ...
+        def begin(self, floors: int, groups: int, sample_period: float) -> None: ...
+        def force(self, sample: LawSample) -> Sequence[float]: ...
+
+`abrace_core.node.law_node.run_law` makes a node of it.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    Force = Sequence[float] | NDArray[np.float64] | float
+
+
+@dataclass(frozen=True)
+class LawSample:
+    """What the rig measured at one instant, SI units.
+
+    Parameters
+    ----------
+    number
+        Of the sample in its run.
+    displacement, acceleration
+        (floors,) of the floors: relative to the table, and absolute.
+    stroke, force
+        (groups,) of one brace of each group; the force is the mean of the group's load cells.
+    lost
+        Samples that were lost just before this one.
+    """
+
+    number: int
+    displacement: NDArray[np.float64]
+    stroke: NDArray[np.float64]
+    acceleration: NDArray[np.float64]
+    force: NDArray[np.float64]
+    lost: int
+
+
+class Law(Protocol):
+    """A control law. What its constructor takes, each with a default, are the node's parameters."""
+
+    def begin(self, floors: int, groups: int, sample_period: float) -> None:
+        """Begin anew, from rest: the first sample of a run comes, or one after a stop.
+
+        The rig has so many `floors` and brace `groups`, and a `sample_period` [s].
+        """
+
+    def force(self, sample: LawSample) -> Force:
+        """The force of one brace of each group (groups,) [N] from this `sample` on, positive as the load cells'."""
+
+
+def law_options(law: Callable[..., Law]) -> dict[str, Any]:
+    """What a `law`'s constructor takes, with the defaults: the parameters that its node has.
+
+    Raises
+    ------
+    AbraceError
+        If one has no default, or one that no ROS parameter can have.
+    """
+    found = {}
+    for name, parameter in inspect.signature(law).parameters.items():
+        value = list(parameter.default) if isinstance(parameter.default, tuple) else parameter.default
+        first = value[0] if isinstance(value, list) and value else value
+        if not isinstance(first, (bool, int, float, str)):
+            given = "nothing" if value is parameter.empty else repr(value)
+            raise AbraceError(
+                f"{law.__name__}: {name} = {given}, expected a default that is a number, a text, true or false, "
+                "or a list of them"
+            )
+        found[name] = value
+    return found
+
+
+class GuardedLaw:
+    """A law as a node uses it: its forces fade in, and what goes wrong in it is an AbraceError.
+
+    Parameters
+    ----------
+    law
+        The law.
+    sample_period
+        [s].
+    ramp_time
+        Duration of the fade [s].
+    """
+
+    def __init__(self, law: Law, sample_period: float, ramp_time: float) -> None:
+        self._law = law
+        self._period = sample_period
+        steps = round(ramp_time / sample_period)
+        self._fade = [(1 - math.cos(math.pi * j / steps)) / 2 for j in range(1, steps)]
+        self._step = 0
+        self._floors = self._groups = 0
+
+    def begin(self, floors: int, groups: int) -> None:
+        """Begin anew with the next sample of a rig of so many `floors` and brace `groups`."""
+        self._floors, self._groups, self._step = floors, groups, 0
+        self._call("begin", floors, groups, self._period)
+
+    def force(self, number: int, z: Sequence[float], lost: int) -> list[float]:
+        """The law's force (groups,) [N] in answer to sample `number`, faded in.
+
+        `z` is [displacements, strokes, accelerations, forces], as measured; `lost` samples were lost just before.
+        """
+        floors, groups, values = self._floors, self._groups, np.array(z)
+        x, stroke, a, f = np.split(values, np.cumsum([floors, groups, floors]))
+        found = self._call("force", LawSample(number, x, stroke, a, f, lost))
+        try:
+            force = np.atleast_1d(np.asarray([] if found is None else found, dtype=np.float64))
+        except (TypeError, ValueError):
+            force = np.empty(0)
+        if force.shape != (groups,):
+            raise AbraceError(
+                f"{self._name('force')}: returned {found!r}, expected a number for each of {groups} brace groups"
+            )
+        if self._step < len(self._fade):
+            force = force * self._fade[self._step]
+            self._step += 1
+        given: list[float] = force.tolist()
+        return given
+
+    def _name(self, method: str) -> str:
+        return f"{type(self._law).__name__}.{method}"
+
+    def _call(self, method: str, *arguments: Any) -> Any:
+        try:
+            return getattr(self._law, method)(*arguments)
+        except Exception as error:
+            raise AbraceError(f"{self._name(method)}: {type(error).__name__}: {error}") from error

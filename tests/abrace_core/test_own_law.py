@@ -1,0 +1,81 @@
+"""A control law of one's own: what is made of its class, and what goes wrong in it."""
+
+import numpy as np
+import pytest
+
+from abrace_core.errors import AbraceError
+from abrace_core.own_law import GuardedLaw, law_options
+
+Z = (0.1, 0.2, 0.3, 0.01, 1.0, 2.0, 3.0, 500.0)
+"""Three floors, one brace group."""
+
+
+class Law:
+    def __init__(self, gain: float = 2.0, floors: tuple[int, ...] = (1,), answer=lambda _: [7.0]) -> None:
+        self.gain, self.floors, self.answer = gain, floors, answer
+
+    def begin(self, floors, groups, sample_period):
+        self.began = floors, groups, sample_period
+
+    def force(self, sample):
+        self.sample = sample
+        return self.answer(sample)
+
+
+def guarded(law, ramp_time=0.0):
+    found = GuardedLaw(law, 0.002, ramp_time)
+    found.begin(3, 1)
+    return found
+
+
+def test_a_law_is_given_each_sample_by_the_quantities_names():
+    law = Law()
+    assert guarded(law).force(5, Z, 2) == [7.0]
+    assert law.began == (3, 1, 0.002)
+    sample = law.sample
+    assert (sample.number, sample.lost) == (5, 2)
+    for found, expected in (
+        (sample.displacement, Z[:3]),
+        (sample.stroke, Z[3:4]),
+        (sample.acceleration, Z[4:7]),
+        (sample.force, Z[7:]),
+    ):
+        assert found.tolist() == list(expected)
+
+
+def test_the_force_fades_in_along_half_a_cosine_whenever_it_begins_anew():
+    law = guarded(Law(answer=lambda _: 8.0), ramp_time=0.008)
+    for _ in range(2):
+        found = [law.force(number, Z, 0)[0] for number in range(5)]
+        assert found == pytest.approx([8 * (1 - np.cos(np.pi * j / 4)) / 2 for j in (1, 2, 3)] + [8.0, 8.0])
+        law.begin(3, 1)
+
+
+def test_what_the_constructor_takes_are_the_parameters():
+    class Own:
+        def __init__(self, gain=2.0, name="a", steps=3, on=True, floors=(1, 2)):
+            pass
+
+    assert law_options(Own) == {"gain": 2.0, "name": "a", "steps": 3, "on": True, "floors": [1, 2]}
+
+
+@pytest.mark.parametrize("default", ["", "=None", "={}", "=()"])
+def test_a_parameter_that_ros_cannot_have_is_named(default):
+    scope: dict = {}
+    exec(f"class Own:\n    def __init__(self, gain{default}): pass", scope)
+    with pytest.raises(AbraceError, match=r"Own: gain = .*, expected a default that is a number"):
+        law_options(scope["Own"])
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (lambda _: 1 / 0, "Law.force: ZeroDivisionError: division by zero"),
+        (lambda _: None, "Law.force: returned None, expected a number for each of 1 brace groups"),
+        (lambda _: "push", "Law.force: returned 'push', expected a number"),
+        (lambda _: [1.0, 2.0], r"Law.force: returned \[1.0, 2.0\], expected a number"),
+    ],
+)
+def test_what_goes_wrong_in_a_law_is_said_with_its_name(answer, message):
+    with pytest.raises(AbraceError, match=message):
+        guarded(Law(answer=answer)).force(0, Z, 0)
