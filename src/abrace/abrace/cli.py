@@ -1,4 +1,4 @@
-"""The `abrace` command: run PACKAGE EXECUTABLE, campaign FILE, report DIRECTORY, bag ACTION, demo."""
+"""The `abrace` command: nodes, campaigns, reports, bags, and what an operator does on the running graph."""
 
 from __future__ import annotations
 
@@ -33,6 +33,16 @@ def parser() -> argparse.ArgumentParser:
     report = commands.add_parser("report", help="tables and summary.json from a campaign's results")
     report.add_argument("directory", type=Path, help="such as results/demo")
     add_bag_parser(commands)
+    commands.add_parser(
+        "status", help="every node of the running graph: state, fault, rate, losses; live on a terminal"
+    )
+    commands.add_parser("stop", help="press the stop button of the whole laboratory (a protective stop)")
+    clear = commands.add_parser("clear", help="clear the latched fault of a node")
+    clear.add_argument("node", help="such as plant, or /rig/plant where there are several")
+    setting = commands.add_parser("set", help="set a parameter of a running node")
+    setting.add_argument("node", help="such as controller, or /rig/controller")
+    setting.add_argument("parameter", help="such as next")
+    setting.add_argument("value", help="such as lqg2.yaml")
     commands.add_parser(DEMO, help="the paper's tests, identification, design and comparison on the simulated rig")
     return main_parser
 
@@ -64,6 +74,8 @@ def _carry_out(given: argparse.Namespace) -> int:
     if given.command == "bag":
         bag_command(given)
         return 0
+    if given.command in ("status", "stop", "clear", "set"):
+        return _operate(given)
     from abrace.report.writer import make_report
 
     if given.command == "report":
@@ -75,3 +87,16 @@ def _carry_out(given: argparse.Namespace) -> int:
     name = given.file if given.command == "campaign" else DEMO
     print(make_report(run_campaign(find_file(name, "abrace", "campaigns", ".yaml", "campaign"))))
     return 0
+
+
+def _operate(given: argparse.Namespace) -> int:
+    from abrace.nodes import operator_commands
+
+    match given.command:
+        case "status":
+            return operator_commands.status()
+        case "stop":
+            return operator_commands.stop()
+        case "clear":
+            return operator_commands.clear(given.node)
+    return operator_commands.set_parameter(given.node, given.parameter, given.value)

@@ -1,0 +1,82 @@
+"""What nodes report of themselves, as a table for an operator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+STALE = 2.5
+"""Seconds after which a node that reports once a second has fallen silent."""
+LOSSES = ("lost", "missed")
+"""How entries of diagnostics begin that count what has been lost."""
+
+
+@dataclass(frozen=True)
+class NodeReport:
+    """The last report of a node.
+
+    Parameters
+    ----------
+    message
+        Its state, or its fault.
+    failed
+        Whether it has a fault.
+    heard
+        When it came [s].
+    rate
+        Samples a second since the report before; None: it counts none.
+    lost
+        Samples or messages that it has missed; None: it counts none.
+    sequence
+        Of its last sample; -1: it counts none.
+    stopped
+        "pressed by ..." where a stop button is; else empty.
+    count
+        Reports so far.
+    """
+
+    message: str
+    failed: bool
+    heard: float
+    rate: float | None
+    lost: int | None
+    sequence: int
+    stopped: str
+    count: int
+
+    @classmethod
+    def after(
+        cls, before: NodeReport | None, message: str, failed: bool, values: Mapping[str, str], heard: float
+    ) -> NodeReport:
+        """The report with a `message` and these `values` that was `heard` [s] after the one `before`.
+
+        `failed`: as in NodeReport.
+        """
+        sequence = int(values.get("sequence", "-1"))
+        rate = None
+        if before is not None and sequence >= before.sequence >= 0:
+            span = heard - before.heard
+            rate = (sequence - before.sequence) / span if span > 0.2 else before.rate
+        counts = [int(value) for key, value in values.items() if key.partition(" ")[0] in LOSSES and value.isdigit()]
+        lost = sum(counts) if counts else None
+        count = 1 + (before.count if before else 0)
+        return cls(message, failed, heard, rate, lost, sequence, values.get("stop", ""), count)
+
+
+def node_table(reports: Mapping[str, NodeReport], now: float) -> str:
+    """A line for each node of `reports`, by full name; `now` [s] tells who has fallen silent."""
+    if not reports:
+        return "no node reports; is ROS_DOMAIN_ID that of the rig?"
+
+    def cells(name: str, report: NodeReport) -> tuple[str, ...]:
+        silent = now - report.heard
+        state = f"silent for {silent:.0f} s; was: {report.message}" if silent > STALE else report.message
+        rate = "-" if report.rate is None else f"{report.rate:.0f}"
+        return name, rate, "-" if report.lost is None else str(report.lost), state
+
+    rows = [("node", "samples/s", "lost", "state"), *(cells(name, one) for name, one in sorted(reports.items()))]
+    width = max(len(row[0]) for row in rows)
+    return "\n".join(f"{name:{width}}  {rate:>9}  {lost:>6}  {state}" for name, rate, lost, state in rows)
