@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 STOP_TOPIC = "/emergency_stop"
 PATIENCE = 5.0
 """Seconds in which nodes have to be found, and to answer."""
-LISTEN = 1.0
+LISTEN = 2.0
 """Seconds of listening for nodes, at least; every one reports once a second."""
 NAMING = 2.5
 """Seconds in which a rig may learn who pressed."""
