@@ -51,8 +51,8 @@ class Operator:
         self._context = rclpy.Context()
         with for_streams():  # what is lost on the way is sent again at once
             self._context.init()
+            self.node = rclpy.create_node("operator", context=self._context, start_parameter_services=False)
         rclpy.signals.install_signal_handlers(SignalHandlerOptions.NO)
-        self.node = rclpy.create_node("operator", context=self._context, start_parameter_services=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
