@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,7 @@ WRONG_INPUT = 2
 def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     main_parser = argparse.ArgumentParser(prog="abrace", description="Tests of an actively braced building on ROS 2.")
+    main_parser.add_argument("--version", action="version", version=f"abrace {version('abrace_core')}")
     commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     run = commands.add_parser("run", help="run a node: `ros2 run` for a machine without the ros2 command")
     run.add_argument("package", help="such as abrace_plant")

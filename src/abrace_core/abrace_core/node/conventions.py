@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 import re
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -27,7 +28,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from abrace_core.errors import AbraceError
-from abrace_core.node.parameters import Parameter, declare, refuse_unknown_types
+from abrace_core.node.parameters import Parameter, declare, parameter_help, refuse_unknown_types
 
 RCLError = rclpy_implementation.RCLError
 
@@ -72,6 +73,18 @@ def clearing(node: Node) -> str:
     return f"remove its cause, then: ros2 service call {service} std_srvs/srv/Trigger"
 
 
+def _description(node: type, name: str, table: Sequence[Parameter]) -> str:
+    about = (sys.modules[node.__module__].__doc__ or "").partition("\n\n")[0]
+    package = node.__module__.partition(".")[0]
+    program = f"python {sys.argv[0]}" if package == "__main__" else f"ros2 run (or abrace run) {package} {name}"
+    usage = f"{program} --ros-args -p NAME:=VALUE ..."
+    return f"{about}\n\n{usage}\n\n{parameter_help(table)}"
+
+
+class Described(Exception):  # noqa: N818
+    """Raised instead of making a node, when its description was asked for, which is the text."""
+
+
 class AbraceNode(Node):
     """A node with abrace's conventions: checked parameters, diagnostics, an exit code.
 
@@ -96,7 +109,12 @@ class AbraceNode(Node):
     remedy = ""
     """What a person does about the node's faults, for the log."""
 
+    describing = False
+    """Whether nodes are not made, but described: `--help`."""
+
     def __init__(self, name: str, table: Sequence[Parameter], context: Context | None = None) -> None:
+        if AbraceNode.describing:
+            raise Described(_description(type(self), name, table))
         self.lock = threading.RLock()
         """Held while `tick` or a change of a parameter acts; see `AbraceLifecycleNode`."""
         self.roused = Future()

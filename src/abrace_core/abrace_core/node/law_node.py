@@ -68,4 +68,4 @@ class LawNode(BraceCommander):
 
 def run_law(law: type[Law]) -> int:
     """Run the node of a `law`, called as its class in lower case, to its end; returns the process's exit code."""
-    return run(type(law.__name__, (LawNode,), {"law": law}))
+    return run(type(law.__name__, (LawNode,), {"law": law, "__module__": law.__module__}))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -163,6 +164,24 @@ class Parameter:
         low = self.minimum if self.minimum is not None else -float("inf")
         high = self.maximum if self.maximum is not None else float("inf")
         return all(low <= entry <= high and abs(entry) != float("inf") for entry in values)
+
+
+def parameter_help(table: Sequence[Parameter]) -> str:
+    """A table's parameters for a terminal: each as it is given, its description and what it may be."""
+    lines = []
+    for parameter in table:
+        default = "..." if parameter.required and not parameter.default else _as_given(parameter.default)
+        lines.append(f"  -p {parameter.name}:={default}")
+        described = f"{parameter.description} ({parameter.expected()})"
+        lines += textwrap.wrap(described, 100, initial_indent=" " * 8, subsequent_indent=" " * 8)
+    return "\n".join(lines)
+
+
+def _as_given(value: Any) -> str:
+    """A value as it is written after `:=`."""
+    if isinstance(value, list):
+        return f"[{','.join(map(_as_given, value))}]"
+    return str(value).lower() if isinstance(value, bool) else str(value) or "''"
 
 
 def declare(node: Node, table: Sequence[Parameter]) -> SimpleNamespace:

@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from types import FrameType
 
 import rclpy
@@ -26,7 +27,7 @@ from rclpy.utilities import remove_ros_args
 
 from abrace_core.errors import AbraceError
 from abrace_core.node import real_time
-from abrace_core.node.conventions import AbraceNode, RCLError, rcl_message
+from abrace_core.node.conventions import AbraceNode, Described, RCLError, rcl_message
 from abrace_core.node.threads import LONGEST_WAIT
 from abrace_core.node.transport import for_streams
 
@@ -196,8 +197,23 @@ def _close(node: AbraceNode | None, program: str) -> int:
     return exit_code
 
 
+def _describe(create: Callable[[], AbraceNode]) -> None:
+    """Print what a node is for and its parameters, without making it."""
+    AbraceNode.describing = True
+    try:
+        create()
+    except Described as described:
+        text = str(described)
+    finally:
+        AbraceNode.describing = False
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:  # who read it has had enough
+        _silence((1,))
+
+
 def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None) -> int:
-    """Run a node to its end and return the process's exit code.
+    """Run a node to its end and return the process's exit code; with `--help`, `--version` only print what it is.
 
     A node with a method `work` is an offline one: `work` is called once and the process ends.
 
@@ -208,10 +224,16 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
     arguments
         Of the command line; those of the process by default.
     """
-    signals = _Signals()
-    node: AbraceNode | None = None
     arguments = list(sys.argv if arguments is None else arguments)
     program = arguments[0].rsplit("/", 1)[-1]
+    if {"-h", "--help"} & set(arguments[1:]):
+        _describe(create)
+        return 0
+    if "--version" in arguments[1:]:
+        print(f"{program} of abrace {version('abrace_core')}")
+        return 0
+    signals = _Signals()
+    node: AbraceNode | None = None
     try:
         if END_WITH in os.environ:
             _end_with(os.environ[END_WITH])
