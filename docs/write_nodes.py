@@ -20,7 +20,7 @@ PAGE = Path(__file__).parent / "nodes.md"
 INTRODUCTION = """# Nodes
 
 Written by `python docs/write_nodes.py` from the tables in the nodes' source: what a node declares is what stands here.
-`abrace run PACKAGE NODE --help` prints a node's parameters with their defaults, `--version` which abrace it is of.
+With `--help` a node prints its parameters and what they may be, with `--version` which abrace it is of.
 
 Every node publishes its state on `/diagnostics`, once a second and when it changes, where `rqt_robot_monitor` and
 `diagnostic_aggregator` look for it. A status has the node's full name (`rig/plant: state`) and the namespace as
