@@ -30,7 +30,7 @@ from abrace_plant.rig.motion import RigMotion
 from abrace_sysid.validation import compare
 
 if TYPE_CHECKING:
-    from abrace.report.results import Comparison
+    from abrace.report.results import Comparison, ValidityResult
     from abrace_plant.rig.model import Rig
 
 RIG = "ncree_as_a_rig"
@@ -42,11 +42,13 @@ RESPONSES = ("x1", "x2", "x3", "a1", "a2", "a3")
 def verify_as_a_rig() -> tuple[dict[str, Any], list[Claim], list[Table]]:
     """Values for verify.json, claims, and a table of the prediction."""
     rig = load_rig(find_file(RIG, "abrace_plant", "config", ".yaml", "rig"))
-    found, own = run(rig)
+    found, own, validity = run(rig)
     errors = {name: row.noise_free_error for name, row in found.simulated_vs_measured.items()}
     error, order = own_substeps(rig)
     values: dict[str, Any] = {
         "prediction_error": max(errors[name] for name in RESPONSES),
+        "named": validity.verdict == "trust with care" and "friction" in validity.causes,
+        "causes": list(validity.causes),
         "errors": errors,
         "errors_of_the_rigs_linear_model": own,
         "peak_rms_error": found.peak_rms_error,
@@ -56,6 +58,7 @@ def verify_as_a_rig() -> tuple[dict[str, Any], list[Claim], list[Table]]:
         "sample_us": sample_time(rig),
     }
     claims = [
+        Claim("rig as it is: validity says with care, and friction", float(values["named"]), 1.0, "-", least=True),
         Claim("rig as it is: error at its own substeps", error, 3e-4, "32 times finer"),
         Claim("rig as it is: the same over four times finer", order, 3.0, "order 1 to 2", least=True),
         Claim("rig as it is: a sample, us of CPU", values["sample_us"], 200.0, "2000 us a sample"),
@@ -63,8 +66,8 @@ def verify_as_a_rig() -> tuple[dict[str, Any], list[Claim], list[Table]]:
     return values, claims, [_table(found, own)]
 
 
-def run(rig: Rig) -> tuple[Comparison, dict[str, float]]:
-    """The demo's comparison, and by channel the error of the `rig`'s own linear model in the same test."""
+def run(rig: Rig) -> tuple[Comparison, dict[str, float], ValidityResult]:
+    """The demo's comparison, by channel the error of the `rig`'s own linear model in the same test, and validity."""
     text = find_file("demo", "abrace", "campaigns", ".yaml", "campaign").read_text(encoding="utf-8")
     with isolated() as here:
         campaign = Path(f"{RIG}.yaml")
@@ -80,7 +83,7 @@ def run(rig: Rig) -> tuple[Comparison, dict[str, float]]:
         own = compare(read_run(bag), rig.model, law, rig.capacity)
         shutil.rmtree(here / KEPT, ignore_errors=True)
         shutil.copytree(results, here / KEPT)
-    return found.comparisons["comparison"], own.noise_free_error()
+    return found.comparisons["comparison"], own.noise_free_error(), found.validity["model"]
 
 
 def table1_error(found: Comparison) -> float:

@@ -29,6 +29,7 @@ from record_accuracy import verify_records
 from rig_accuracy import verify_rig
 from rig_as_it_is import verify_as_a_rig
 from safety import verify_safety
+from validity import verify_validity
 
 from abrace_core.files import write_text
 
@@ -63,6 +64,7 @@ def parts(record: Path | None, measured: Path | None) -> dict[str, Part]:
         "ambient": Part(("ambient",), "modes without any drive, and changes found", verify_ambient),
         "lqg": Part(("lqg",), "the five controllers on the lockstep graph", partial(lqg_accuracy.verify_lqg, record)),
         "as_a_rig": Part((buildings, "as_a_rig"), "the demo on a rig with friction and all else", verify_as_a_rig),
+        "validity": Part((buildings, "validity"), "planted faults named, false alarms", verify_validity),
         "interlocks": Part(("interlocks",), "margins in the paper's tests, and what trips them", verify_interlocks),
         "bags": Part(("bags",), "killed loggers, power losses, damaged files", verify_bags),
         "bridge": Part(("bridge",), "malformed packets; the demo through emulator and bridge", verify_bridge),

@@ -53,7 +53,8 @@ class Laboratory:
         sequence = np.arange(len(ground), dtype=np.uint64)
         period = self.model.sample_period
         shape = (self.rig.floors, self.rig.groups)
-        return Run(source, period, sequence, *shape, readings[:, :-1], readings[:, -1], command_until)
+        braces = self.rig.braces_in_group
+        return Run(source, period, sequence, *shape, readings[:, :-1], readings[:, -1], command_until, braces=braces)
 
     def _stepped(self, source: str, ground: Array, command: Callable[[int, Array], Array]) -> Run:
         """A test of a rig as it is: in force from sample k on is the `command` of k and the outputs at sample k - 1."""

@@ -199,16 +199,31 @@ def _misfits(model: LinearModel, data: TestData) -> tuple[str, ...]:
     return (f"{found}: {advice}",) if poor else ()
 
 
+def measured_lag(estimate: PoleEstimate, command: str, highest: float) -> float | None:
+    """The lag of a servo as the tests show it, from its fast real poles [s]; None where they show none.
+
+    Parameters
+    ----------
+    estimate
+        The modes of all tests.
+    command
+        Name of the servo's command.
+    highest
+        Frequency [Hz] up to which it was excited.
+    """
+    drive = estimate.drive[:, estimate.inputs.index(command)]
+    fast = (estimate.poles.imag == 0) & (-estimate.poles.real > 2 * np.pi * highest) & (drive != 0)
+    return float(np.sum(-1 / estimate.poles[fast].real)) if fast.any() else None
+
+
 def _lags_that_differ(
     estimate: PoleEstimate, commands: Sequence[TestData], options: IdentificationOptions
 ) -> list[str]:
     """A sentence for each command whose servo's lag, a fast real pole, is far from the one that was given."""
     found = []
     for data in commands:
-        drive = estimate.drive[:, estimate.inputs.index(data.input)]
-        fast = (estimate.poles.imag == 0) & (-estimate.poles.real > 2 * np.pi * options.command_band[1]) & (drive != 0)
-        lag = float(np.sum(-1 / estimate.poles[fast].real))
-        if fast.any() and abs(lag - options.servo_lag) > LAG_DIFFERENCE * options.servo_lag:
+        lag = measured_lag(estimate, data.input, options.command_band[1])
+        if lag is not None and abs(lag - options.servo_lag) > LAG_DIFFERENCE * options.servo_lag:
             found.append(
                 f"{data.source}: {data.input} lags by {1e3 * lag:.2g} ms, servo_lag says {1e3 * options.servo_lag:.2g}"
                 ": model.json has what was measured; set servo_lag to it for the reduced and the superposed model"

@@ -125,7 +125,7 @@ def check_channels(
         require_excited(whole, name, band)
         excitation = held_input(whole, name)
         middle = len(excitation) // 2
-        count = _at_extremes(excitation if period is None else excitation[middle : middle + period])
+        count = at_extremes(excitation if period is None else excitation[middle : middle + period])
         if count > CLIPPED_SHARE * len(whole.outputs):
             raise AbraceError(
                 f"{whole.source}: input {name} is clipped, {count} of {len(whole.outputs)} samples are at its "
@@ -134,14 +134,14 @@ def check_channels(
         if count:
             warnings += (f"{whole.source}: input {name} is clipped in {count} samples",)
 
-    left_out = _dead_channels(whole, inputs, band)
+    left_out = dead_channels(whole, inputs, band)
     if len(left_out) == len(whole.names):
         reasons = ", ".join(f"{name} {reason}" for name, reason in left_out.items())
         raise AbraceError(f"{whole.source}: no channel is a response to {' and '.join(inputs)}: {reasons}")
     for name, reason in left_out.items():
         warnings += (f"{whole.source}: channel {name} is left out: {reason}",)
     for name in whole.names:
-        count = 0 if name in left_out else _at_extremes(whole.channels([name])[:, 0])
+        count = 0 if name in left_out else at_extremes(whole.channels([name])[:, 0])
         if count:
             warnings += (f"{whole.source}: channel {name} is clipped in {count} samples",)
     return left_out, warnings
@@ -257,16 +257,26 @@ def require_at_rest(run: Run, name: str, excited: Run) -> None:
         )
 
 
-def _at_extremes(values: NDArray[np.float64]) -> int:
-    """How many samples are at the greatest or at the least value, if too many are for noise."""
+def at_extremes(values: NDArray[np.float64]) -> int:
+    """How many of `values` (samples,) are at the greatest or at the least value, if too many are for noise."""
     if not np.ptp(values):
         return 0
     counts = (np.count_nonzero(values == extreme) for extreme in (values.max(), values.min()))
     return int(sum(count for count in counts if count >= CLIPPED_COUNT))
 
 
-def _dead_channels(run: Run | MeasuredData, inputs: Sequence[str], band: tuple[float, float]) -> dict[str, str]:
-    """Channels that never change, are stuck, or have no coherence with an input anywhere, with the reason."""
+def dead_channels(run: Run | MeasuredData, inputs: Sequence[str], band: tuple[float, float]) -> dict[str, str]:
+    """Channels that never change, are stuck, or have no coherence with an input anywhere, with the reason.
+
+    Parameters
+    ----------
+    run
+        The test.
+    inputs
+        Names of all inputs that were excited.
+    band
+        Lowest and highest frequency [Hz] of the excitation.
+    """
     dead = {}
     samples = len(run.outputs)
     for column, name in enumerate(run.names):

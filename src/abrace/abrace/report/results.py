@@ -1,7 +1,8 @@
 """The files of results that a report is made from; each is a JSON object with these keys and no others.
 
-A campaign always writes timing.json; poles.json where it has an identify step; each validate step has a
-comparison.json in a folder of its name, each ambient step the ambient.json of the node `ambient`.
+A campaign always writes timing.json; poles.json where it has an identify step, and in a folder of the step's name the
+validity.json of the node `identify`; each validate step has a comparison.json in a folder of its name, each ambient
+step the ambient.json of the node `ambient`.
 
 poles.json, from an identify step; frequencies [rad/s], slowest first; `true` is [] where nobody knows the rig's own::
 
@@ -35,7 +36,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import pydantic
 
@@ -46,6 +47,7 @@ from abrace_core.response import TABLE_1_EXPERIMENT
 Positive = Annotated[float, pydantic.Field(gt=0)]
 NonNegative = Annotated[float, pydantic.Field(ge=0)]
 Count = Annotated[int, pydantic.Field(ge=0)]
+VerdictWords = Literal["trust", "trust with care", "don't trust"]
 
 
 class Pole(Checked):
@@ -164,6 +166,29 @@ class AmbientResult(pydantic.BaseModel):
     change: BuildingChange | None = None
 
 
+class ValidityFinding(Checked):
+    """What one check of an identification found."""
+
+    check: str
+    where: str
+    value: float
+    limit: float
+    unit: str
+    verdict: VerdictWords
+    cause: str | None
+    meaning: str
+    advice: str
+
+
+class ValidityResult(Checked):
+    """validity.json."""
+
+    verdict: VerdictWords
+    causes: tuple[str, ...]
+    findings: tuple[ValidityFinding, ...]
+    not_checked: dict[str, str]
+
+
 class StepTiming(Checked):
     """How long a step took."""
 
@@ -185,12 +210,13 @@ class Timing(Checked):
 
 @dataclass(frozen=True)
 class Results:
-    """What a campaign measured: comparisons and ambient tests by step, in order; no poles where no step has any."""
+    """What a campaign measured: comparisons, ambient tests and validity by step, in order; poles if a step has any."""
 
     poles: AllPoles | None
     comparisons: dict[str, Comparison]
     timing: Timing
     ambient: dict[str, AmbientResult]
+    validity: dict[str, ValidityResult]
 
     @property
     def main(self) -> Comparison | None:
@@ -225,6 +251,7 @@ def read_results(directory: Path | str) -> Results:
         of_steps("comparison.json", Comparison),
         timing,
         of_steps("ambient.json", AmbientResult),
+        of_steps("validity.json", ValidityResult),
     )
 
 

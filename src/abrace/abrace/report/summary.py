@@ -31,6 +31,10 @@ def summarise(results: Results) -> dict[str, Any]:
             }
             for test, poles in poles_by_test(results.poles)
         }
+    if results.validity:
+        summary["validity"] = {
+            step: {"verdict": one.verdict, "causes": list(one.causes)} for step, one in results.validity.items()
+        }
     if results.ambient:
         summary["ambient"] = _dumped(results.ambient)
     if results.main is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from abrace.report.results import (
     AmbientMode,
@@ -15,6 +15,9 @@ from abrace.report.results import (
     Prediction,
     Results,
     Timing,
+    ValidityFinding,
+    ValidityResult,
+    VerdictWords,
 )
 from abrace.report.summary import error_vs_paper, nearest_pole, poles_by_test, timing_summary, worst_peak_rms_error
 from abrace.report.table import Table
@@ -33,16 +36,18 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 PAPER_ERROR = mean_relative_error(TABLE_1_SIMULATION, TABLE_1_EXPERIMENT)
+VERDICTS = get_args(VerdictWords)
 FITTED = (
     "LQG3's five weights were fitted to these 18 cells: the error is that of a fit, the table of models below is not"
 )
 
 
 def tables(results: Results) -> list[Table]:
-    """Poles, Table 1, without and with control, simulated against measured, timing: those that the results have."""
+    """Poles, validity, Table 1, without and with control, simulated against measured, timing: what the results have."""
     found = []
     if results.poles is not None:
         found += [_pole_table(test, poles) for test, poles in poles_by_test(results.poles)]
+    found += [_validity_table(step, one) for step, one in results.validity.items()]
     found += [_ambient_table(step, one) for step, one in results.ambient.items()]
     if results.main is not None:
         found.append(_table_1(results.main))
@@ -55,6 +60,22 @@ def tables(results: Results) -> list[Table]:
     if clipped:
         found.append(Table("At the end of a sensor's range", ("test", ""), clipped))
     return [*found, _timing_table(results.timing)]
+
+
+def _validity_table(step: str, validity: ValidityResult) -> Table:
+    """The verdict, each check's worst finding, and what to do."""
+    worst: dict[str, ValidityFinding] = {}
+    for finding in validity.findings:
+        before = worst.get(finding.check)
+        rank = VERDICTS.index(finding.verdict), finding.value
+        if before is None or rank > (VERDICTS.index(before.verdict), before.value):
+            worst[finding.check] = finding
+    rows = tuple((one.check, f"{one.value:.2g}", f"{one.limit:.2g}", one.verdict, one.where) for one in worst.values())
+    causes = f": {', '.join(validity.causes)}" if validity.causes else ""
+    reasons = [finding for finding in validity.findings if finding.cause is not None]
+    notes = dict.fromkeys([*(one.meaning for one in reasons), *(one.advice for one in reasons if one.advice)])
+    title = f"Validity of {step}: {validity.verdict}{causes}"
+    return Table(title, ("check", "found", "limit", "verdict", "where"), rows, tuple(notes))
 
 
 def _pole_table(test: str, poles: Poles) -> Table:

@@ -23,13 +23,20 @@ from abrace_sysid.models.reduction import errors_by_order, typical_scales
 from abrace_sysid.pole_results import poles_text, write_poles
 from abrace_sysid.spectra.estimation import Method, TransferFunctionOptions
 from abrace_sysid.spectra.welch import Estimator
+from abrace_sysid.validity.judgement import judge
+from abrace_sysid.validity_results import write_validity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from abrace_core.run import Run
+
 DEFAULTS = IdentificationOptions()
 METHOD = DEFAULTS.transfer_function
 TRANSFER_FUNCTION = ("method", "segment", "window", "overlap", "estimator", "order", "half_width")
+
+FITTING = 0.5
+"""Progress from which on tests and options have been accepted: what then fails is what was measured."""
 
 PARAMETERS = [
     Parameter("table", [], "bag, or list of bags, of tests with noise or a multisine on the table", element=str),
@@ -127,7 +134,7 @@ class Identify(AbraceNode):
             reduced_order=given.reduced_order,
         )
         table, command = ([run for bag in bags for run in runs[bag]] for bags in (given.table, given.command))
-        found = identify(table, command, options, progress)
+        found = self.identified(table, command, options, progress)
         for warning in found.warnings:
             self.get_logger().warning(warning)
         output = Path(given.output)
@@ -146,7 +153,35 @@ class Identify(AbraceNode):
             print(poles_text(values))
         progress("drawing", 1.0)
         self.draw(found, options, output)
+        progress("judging", 1.0)
+        judged = judge(table, command, options, found)
+        write_validity(judged, output)
         print(f"wrote {output}")
+        print(judged.validity.text())
+
+    def identified(
+        self,
+        table: list[Run],
+        command: list[Run],
+        options: IdentificationOptions,
+        progress: Callable[[str, float], None],
+    ) -> Identification:
+        """The models; where there are none because of what was measured, files that say why."""
+        begun = 0.0
+
+        def noted(step: str, fraction: float) -> None:
+            nonlocal begun
+            begun = fraction
+            progress(step, fraction)
+
+        try:
+            return identify(table, command, options, noted)
+        except AbraceError as error:
+            judged = judge(table, command, options, None, str(error))
+            if judged.validity.causes or begun >= FITTING:
+                write_validity(judged, Path(self.parameters.output))
+                print(judged.validity.text(), flush=True)
+            raise
 
     def draw(self, found: Identification, options: IdentificationOptions, output: Path) -> None:
         """The figures."""

@@ -1,0 +1,144 @@
+"""The figure that is to be read first: can the model be trusted, and if not, why not and what to do."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from abrace_core import signals
+from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
+from abrace_sysid.figures.symbols import symbol
+from abrace_sysid.validity.finding import Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+
+    from abrace_sysid.validity.finding import Finding, Validity
+    from abrace_sysid.validity.residuals import Residual
+
+COLOURS = {Verdict.TRUST: "#2a7f62", Verdict.CARE: "#d08c1d", Verdict.DONT: "#b3261e"}
+
+SHORTEST, LONGEST = 0.01, 1000.0
+"""Ends of the bars' axis, in times the limit."""
+
+SMOOTHED = 15
+"""Lines over which the spectra are averaged."""
+
+WIDTHS = (84, 62)
+"""Characters in a line of the reasons, and of the advice."""
+
+MOST_LINES = 12
+"""Below the bars and spectra."""
+
+
+def validity_figure(validity: Validity, residuals: Sequence[Residual]) -> Figure:
+    """Verdict, checks beside their limits, residual spectra beside noise, and what to do.
+
+    Parameters
+    ----------
+    validity
+        What was found.
+    residuals
+        Of each test; may be none.
+    """
+    shown = list(residuals)[:2]
+    figure = Figure(figsize=(11.0, 7.6), layout="constrained")
+    parts: Any = figure.subfigures(3, 1, height_ratios=[0.8, 5.0, 2.6])
+    top, middle, bottom = parts
+    top.set_facecolor(COLOURS[validity.verdict])
+    causes = f": {', '.join(validity.causes)}" if validity.causes else ""
+    title = f"{validity.verdict.words.capitalize()}{causes}"
+    top.text(0.02, 0.5, title, color="white", fontsize=20, fontweight="bold", va="center")
+    left = middle
+    if shown:
+        left, right = middle.subfigures(1, 2, width_ratios=[1.0, 1.1])
+        for axis, residual in zip(right.subplots(len(shown), 1, squeeze=False)[:, 0], shown, strict=True):
+            _spectra(axis, residual)
+    _bars(left.subplots(), validity.findings)
+    for place, title, sentences, width in zip(
+        (0.02, 0.58), ("Why", "What to do"), _words(validity), WIDTHS, strict=True
+    ):
+        if sentences:
+            bottom.text(place, 0.97, title, fontsize=10, fontweight="bold", va="top")
+            bottom.text(place, 0.88, _wrapped(sentences, width), fontsize=8.5, va="top", linespacing=1.3)
+    return figure
+
+
+def worst_of_each(findings: Sequence[Finding]) -> list[Finding]:
+    """Of each check the finding that is worst, in the order of the checks.
+
+    Parameters
+    ----------
+    findings
+        Of all checks.
+    """
+    worst: dict[str, Finding] = {}
+    for finding in findings:
+        before = worst.get(finding.check)
+        if before is None or (finding.verdict, times_limit(finding)) > (before.verdict, times_limit(before)):
+            worst[finding.check] = finding
+    return list(worst.values())
+
+
+def times_limit(finding: Finding) -> float:
+    """A finding's value over its limit, within the ends of the axis; where any is too much, the verdict decides."""
+    if finding.limit <= 0:
+        return LONGEST if finding.verdict else SHORTEST
+    return float(np.clip(finding.value / finding.limit, SHORTEST, LONGEST))
+
+
+def _bars(axis: Axes, findings: Sequence[Finding]) -> None:
+    shown = worst_of_each(findings)
+    rows = np.arange(len(shown))
+    lengths = [times_limit(finding) for finding in shown]
+    left = SHORTEST / 1.5
+    axis.barh(rows, [length - left for length in lengths], left=left, color=[COLOURS[one.verdict] for one in shown])
+    axis.axvline(1.0, color="k", lw=1.2)
+    axis.set_xscale("log")
+    axis.set_xlim(left, 1.5 * LONGEST)
+    axis.set_yticks(rows, [finding.check for finding in shown])
+    axis.set_ylim(len(shown) - 0.4, -0.6)
+    axis.set_xlabel("found, times the limit [-]")
+    axis.grid(axis="x", alpha=0.3)
+
+
+def _spectra(axis: Axes, residual: Residual) -> None:
+    """Response, residual and expected noise of the channel that is explained worst."""
+    worst = int(np.argmax(residual.ratio.mean(axis=0)))
+    frequency = residual.omega / (2 * np.pi)
+
+    def level(power: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.convolve(power, np.ones(SMOOTHED) / SMOOTHED, "same"))
+
+    name = symbol(residual.outputs[worst])
+    axis.semilogy(frequency, level(np.abs(residual.measured[:, worst]) ** 2), color=MEASURED, lw=1.0, label="measured")
+    axis.semilogy(frequency, level(np.abs(residual.left[:, worst]) ** 2), color=SIMULATED, lw=1.0, label="left over")
+    axis.semilogy(frequency, level(residual.noise[:, worst]), color=REFERENCE, lw=1.4, label="noise of the sensors")
+    axis.set_title(f"{name}, {residual.source}", fontsize="medium", loc="left")
+    axis.set_xlabel("frequency [Hz]")
+    unit = signals.unit(residual.outputs[worst])
+    if not residual.excited:
+        unit += f" / ({signals.unit(residual.inputs[0])})"
+    axis.set_ylabel(f"amplitude of a line [{unit}]")
+    axis.set_xlim(frequency[0], frequency[-1])
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize="small", ncols=3, loc="upper right")
+
+
+def _words(validity: Validity) -> tuple[Sequence[str], Sequence[str]]:
+    if not validity.verdict:
+        return ["Every check is within its limit: the model holds for motions like those of its tests."], []
+    unchecked = [f"not checked: {check}: {why}" for check, why in validity.not_checked.items()]
+    return [*(reason.meaning for reason in validity.reasons), *unchecked], validity.advice
+
+
+def _wrapped(sentences: Sequence[str], width: int) -> str:
+    lines: list[str] = []
+    for sentence in sentences:
+        lines += textwrap.wrap(sentence, width, initial_indent="- ", subsequent_indent="  ")
+    return "\n".join(lines if len(lines) <= MOST_LINES else [*lines[: MOST_LINES - 1], "- more in validity.json"])

@@ -1,0 +1,1 @@
+"""Recorded tests and the model identified from them to findings: what can be trusted, what not, and why."""

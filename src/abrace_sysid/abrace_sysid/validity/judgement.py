@@ -1,0 +1,164 @@
+"""All checks on one identification: from the tests, and from the model if there is one, to the findings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core import signals
+from abrace_core.errors import AbraceError
+from abrace_sysid.identification import measured_lag
+from abrace_sysid.recordings import dead_channels, longest_piece
+from abrace_sysid.spectra.fourier import held_input
+from abrace_sysid.spectra.holds import hold_of
+from abrace_sysid.spectra.periodic_response import find_period
+from abrace_sysid.validity import model_findings, rig_findings, sensor_findings
+from abrace_sysid.validity.finding import Finding, Validity, Verdict
+from abrace_sysid.validity.motion import Motion
+from abrace_sysid.validity.residuals import Residual, residual_of, residual_of_response
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from abrace_core.run import Run
+    from abrace_sysid.fitting.options import IdentificationOptions
+    from abrace_sysid.identification import Identification
+    from abrace_sysid.spectra.holds import InputHold
+    from abrace_sysid.spectra.measured_tests import TestData
+
+LEAVE_RESIDUALS = ("saturation", "friction", "backlash")
+"""Faults that leave a residual which no linear model explains."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Findings, and the residuals that a figure shows beside them.
+
+    Parameters
+    ----------
+    validity
+        The findings.
+    residuals
+        Of each test; none where there is no model.
+    """
+
+    validity: Validity
+    residuals: tuple[Residual, ...]
+
+
+def judge(
+    table: Sequence[Run],
+    command: Sequence[Run],
+    options: IdentificationOptions,
+    found: Identification | None,
+    failure: str = "",
+) -> Judgement:
+    """Say how far an identification can be trusted, and why.
+
+    Parameters
+    ----------
+    table, command
+        The tests as they were recorded.
+    options
+        Those of the identification.
+    found
+        What was identified; None where that failed.
+    failure
+        Why it failed.
+    """
+    findings: list[Finding] = []
+    not_checked: dict[str, str] = {}
+    if found is None:
+        meaning, advice = f"nothing was identified: {failure}", "Mend what is named here, and identify again"
+        findings.append(Finding("identification", "", 1.0, 0.0, "", Verdict.DONT, "", meaning, advice))
+    motions: list[tuple[Motion, tuple[float, float]]] = []
+    contradicted = False
+    kinds = [(run, options.table_band) for run in table]
+    kinds += [(run, options.command_band) for run in command if run.source not in {each.source for each in table}]
+    for run, band in kinds:
+        try:
+            whole, inputs, motion = _prepared(run, band)
+        except AbraceError as error:
+            not_checked[f"sensors in {run.source}"] = str(error)
+            continue
+        dead = dead_channels(whole, inputs, band)
+        period = max((find_period(held_input(whole, name)) or 0 for name in inputs), default=0) or None
+        findings += sensor_findings.dead(whole, dead)
+        findings += sensor_findings.saturated(whole, inputs, tuple(dead), period)
+        without = motion.without(dead)
+        of_sensors, kinematics = sensor_findings.contradicting(without, options.table_band)
+        findings += of_sensors
+        contradicted |= bool(kinematics.changes) or any(one.verdict == Verdict.DONT for one in of_sensors)
+        motions.append((without, options.table_band))
+    if contradicted:
+        not_checked["friction, backlash"] = "the sensors contradict each other"
+    else:
+        findings += rig_findings.friction(motions) + rig_findings.backlash(motions)
+    residuals: list[Residual] = []
+    if found is not None:
+        of_model, residuals = _of_model(found, options, findings)
+        findings += of_model
+    else:
+        not_checked["residuals, agreement of tests, lag"] = "there is no model"
+    return Judgement(Validity(tuple(findings), not_checked), tuple(residuals))
+
+
+def _prepared(run: Run, band: tuple[float, float]) -> tuple[Run, tuple[str, ...], Motion]:
+    """The longest whole piece of a test, what was excited in it, and its motion."""
+    whole = longest_piece(run)[0]
+    bad = [name for name in (*whole.names, signals.GROUND) if not np.isfinite(whole.channels([name])).all()]
+    if bad:
+        raise AbraceError(f"{run.source}: {', '.join(bad)} not finite")
+    inputs = tuple(name for name in whole.command_names if np.any(held_input(whole, name)))
+    return whole, inputs or (signals.GROUND,), Motion.of(whole, band[1])
+
+
+def _of_model(
+    found: Identification, options: IdentificationOptions, before: Sequence[Finding]
+) -> tuple[list[Finding], list[Residual]]:
+    """Findings on the model, and the residuals of each test."""
+    known = [one.cause for one in before if one.verdict and one.cause in LEAVE_RESIDUALS]
+    nonlinear = list(dict.fromkeys(known))
+    findings: list[Finding] = []
+    residuals: list[Residual] = []
+    tests = (found.table, *found.commands)
+    for data in tests:
+        if data.input != data.together[0] and not data.periodic:
+            continue
+        for residual, holds in _residuals(found, data):
+            residuals.append(residual)
+            findings += model_findings.unexplained(residual, nonlinear, holds)
+    poles, estimate = found.poles, found.poles.estimate
+    if estimate is None:
+        return findings, residuals
+    findings += model_findings.modes_of_both(poles.table_pairs, poles.common_pairs)
+    cause = nonlinear[0] if nonlinear else "tests that differ"
+    findings += model_findings.disagreeing(
+        "two tests", (found.table.source, found.command.source), poles.table_pairs, poles.command_pairs, cause
+    )
+    top = 2 * np.pi * options.table_band[1]
+    findings += model_findings.repeated(found.table, estimate.poles[np.abs(estimate.poles) < top], cause)
+    for data in found.commands:
+        # a lag of another servo does nothing here
+        driven = estimate.drive[:, estimate.inputs.index(data.input)] != 0
+        findings += model_findings.repeated(data, estimate.poles[driven], cause)
+        measured = measured_lag(estimate, data.input, options.command_band[1])
+        findings += model_findings.lag(data.input, data.source, measured, options.servo_lag)
+    return findings, residuals
+
+
+def _residuals(found: Identification, data: TestData) -> list[tuple[Residual, tuple[InputHold, ...]]]:
+    """Of each run of one kind of test."""
+    if data.periodic:
+        return [
+            (residual_of_response(response, found.model, run.source), (response.held,))
+            for response, run in zip(data.responses, data.runs, strict=True)
+        ]
+    omega = data.responses[0].omega / (2 * np.pi)
+    band = (float(omega[0]), float(omega[-1]))
+    return [
+        (residual_of(run, data.together, found.model, band), tuple(hold_of(run, name) for name in data.together))
+        for run in data.runs
+    ]

@@ -1,0 +1,281 @@
+"""Sensors that contradict each other: swapped, in another unit, reversed or late.
+
+No model is needed. Absolute acceleration less the table's is the second derivative of a floor's displacement:
+
+    a_i - w = x_i'',
+
+a brace's stroke is the drift that it spans times its cosine, and its force follows its command. In the first mode all
+floors move to one side, the higher ones further. Where that does not hold, the tests' channels are taken for swapped
+or in another unit, one change after the other, and what makes them agree is the finding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core import signals
+from abrace_sysid.validity.regression import leakage
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_sysid.validity.motion import Motion
+
+UNITS: dict[str, dict[str, float]] = {
+    "a": {
+        "g": 1 / 9.80665,
+        "mg": 1000 / 9.80665,
+        "cm/s^2": 100.0,
+        "mm/s^2": 1000.0,
+        "in/s^2": 39.3701,
+        "ft/s^2": 3.28084,
+    },
+    "x": {"mm": 1000.0, "cm": 100.0, "in": 39.3701, "um": 1e6},
+    "f": {"kgf": 1 / 9.80665, "kN": 1e-3, "lbf": 0.2248089, "tf": 1e-3 / 9.80665},
+}
+"""By the letter of a channel: units in which its readings may be, over those that are expected."""
+
+CONTRADICTION = 0.005
+"""Share of a channel's power, noise subtracted, that contradicts the others, from which on it is looked into. A rig as
+it is, with transducers of different bandwidths, has 0.0004."""
+
+IMPROVEMENT = 0.5
+"""Share of all contradictions that one change has to explain."""
+
+LOOSE = 0.2
+"""Share of a stroke's power that need not follow from the floors': backlash of 0.5 mm leaves 0.04."""
+
+COSINES = (0.2, 1.1)
+"""What a stroke over a drift can be."""
+
+SERVO = (0.4, 1.6)
+"""What a brace's force over its command can be."""
+
+UNKNOWN_UNIT = 0.001
+"""What a factor that is no unit's counts as a contradiction of its own, so that a known unit comes first."""
+
+MOST = 3
+"""Faults that are looked for in one test."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One change that makes the channels agree.
+
+    Parameters
+    ----------
+    kind
+        "swapped", "unit" or "reversed".
+    channels
+        The two that are swapped, or the one.
+    factor
+        What the readings are too large by; 1 of swapped ones.
+    unit
+        By that factor, if it is one.
+    """
+
+    kind: str
+    channels: tuple[str, ...]
+    factor: float = 1.0
+    unit: str = ""
+
+    def applied(self, motion: Motion) -> Motion:
+        """The test as it would be without this fault in its `motion`."""
+        spectra, noise = motion.spectra, motion.noise
+        if self.kind == "swapped":
+            one, other = self.channels
+            return motion.with_channels(
+                {one: spectra[other], other: spectra[one]}, {one: noise[other], other: noise[one]}
+            )
+        (name,) = self.channels
+        return motion.with_channels({name: spectra[name] / self.factor}, {name: noise[name] / abs(self.factor)})
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """What the sensors of one test say of each other.
+
+    Parameters
+    ----------
+    contradictions
+        By channel the share of its power that contradicts the others, 0 to 1.
+    changes
+        What makes them agree.
+    left
+        The contradictions that then remain.
+    lags
+        Seconds by which the accelerometer of a floor is later than its displacement sensor, by floor.
+    """
+
+    contradictions: Mapping[str, float]
+    changes: tuple[Change, ...]
+    left: Mapping[str, float]
+    lags: Mapping[int, float]
+
+
+def kinematics(motion: Motion, band: tuple[float, float]) -> Kinematics:
+    """Compare the sensors of one test.
+
+    Parameters
+    ----------
+    motion
+        The test.
+    band
+        [Hz] of the building's modes.
+    """
+    lines = motion.within(band)
+    found = contradictions(motion, lines)
+    changes: list[Change] = []
+    current, left = motion, found
+    while max(left.values(), default=0.0) > CONTRADICTION and len(changes) < MOST:
+        trials = [(change, change.applied(current)) for change in _candidates(current, lines)]
+        costs = [
+            sum(contradictions(trial, lines).values())
+            + (UNKNOWN_UNIT if change.kind == "unit" and not change.unit else 0)
+            for change, trial in trials
+        ]
+        best = int(np.argmin(costs)) if costs else 0
+        if not costs or costs[best] > (1 - IMPROVEMENT) * sum(left.values()):
+            break
+        changes.append(trials[best][0])
+        current = trials[best][1]
+        left = contradictions(current, lines)
+    return Kinematics(found, tuple(changes), left, _lags(current, lines))
+
+
+def contradictions(motion: Motion, lines: NDArray[np.int64]) -> dict[str, float]:
+    """By channel the share of its power that contradicts the others, 0 to 1; 1 where its sign or size is impossible.
+
+    Parameters
+    ----------
+    motion
+        A test.
+    lines
+        Numbers of the lines used.
+    """
+    return dict([*_of_floors(motion, lines), *_of_heights(motion, lines), *_of_braces(motion, lines)])
+
+
+def _relative(
+    motion: Motion, floor: int, lines: NDArray[np.int64]
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.float64]] | None:
+    """a - w and x'' of a floor, and the lines' weights."""
+    x, a, w = (motion.spectra.get(name) for name in (f"x{floor}", f"a{floor}", signals.GROUND))
+    if x is None or a is None or w is None:
+        return None
+    square = motion.omega[lines] ** 2
+    noise = (
+        motion.noise[f"a{floor}"] ** 2 + motion.noise[signals.GROUND] ** 2 + (square * motion.noise[f"x{floor}"]) ** 2
+    )
+    return a[lines] - w[lines], -square * x[lines], 1 / np.sqrt(noise)
+
+
+def _of_floors(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str, float]]:
+    for floor in range(1, motion.floors + 1):
+        both = _relative(motion, floor, lines)
+        if both is not None:
+            one, other, weight = both
+            size = np.sum(np.abs(weight * one) ** 2) + np.sum(np.abs(weight * other) ** 2)
+            # each line's noise counts as one
+            different = np.sum(np.abs(weight * (one - other)) ** 2) - len(lines)
+            yield f"a{floor}, x{floor}", float(np.clip(different / size, 0, 1))
+
+
+def _of_heights(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str, float]]:
+    """Displacements, and accelerations, that do not grow with height in the first mode."""
+    for letter in "xa":
+        names = [f"{letter}{floor}" for floor in range(1, motion.floors + 1) if f"{letter}{floor}" in motion.spectra]
+        w = motion.spectra.get(signals.GROUND)
+        if len(names) < 2 or (letter == "a" and w is None):
+            continue
+        motions = np.column_stack([motion.spectra[name][lines] for name in names])
+        if letter == "a" and w is not None:
+            motions = (motions - w[lines, None]) / motion.omega[lines, None] ** 2
+        normal = motions / np.linalg.norm(motions, axis=0)
+        peak = int(np.argmax(np.sum(np.abs(normal) ** 2, axis=1)))
+        about = slice(max(0, peak - 3), peak + 4)
+        sizes = np.linalg.norm(motions[about], axis=0)
+        wrong = np.count_nonzero(np.diff(sizes) <= 0)
+        yield f"heights of {letter}", 0.5 * float(wrong) / (len(names) - 1)
+
+
+def _of_braces(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str, float]]:
+    floors = [f"x{floor}" for floor in range(1, motion.floors + 1) if f"x{floor}" in motion.spectra]
+    omega = motion.omega[lines]
+    commands = signals.command_names(motion.groups)
+    driven = [name for name in commands if np.any(motion.spectra[name])]
+    for group in range(motion.groups):
+        stroke, force = (signals.numbered(letter, motion.groups)[group] for letter in ("xf", "f"))
+        if stroke in motion.spectra and len(floors) == motion.floors:
+            share, coefficients = _explained(
+                motion.spectra[stroke][lines], [motion.spectra[n][lines] for n in floors], omega
+            )
+            greatest = int(np.argmax(np.abs(coefficients)))
+            possible = COSINES[0] < coefficients[greatest] < COSINES[1]
+            yield stroke, 0.0 if possible and share > 1 - LOOSE else 1.0
+        if force in motion.spectra and commands[group] in driven:
+            own = [motion.spectra[name][lines] for name in driven]
+            gain = _explained(motion.spectra[force][lines], own, omega)[1][driven.index(commands[group])]
+            yield force, 0.0 if SERVO[0] < gain < SERVO[1] else 1.0
+
+
+def _explained(
+    spectrum: NDArray[np.complex128], by: Sequence[NDArray[np.complex128]], omega: NDArray[np.float64]
+) -> tuple[float, NDArray[np.float64]]:
+    """Share of a spectrum's power that others explain, and their real coefficients."""
+    columns = np.column_stack([*by, *(1j * omega * one for one in by), leakage(omega)])
+    both, values = np.vstack([columns.real, columns.imag]), np.concatenate([spectrum.real, spectrum.imag])
+    scale = np.linalg.norm(both, axis=0)
+    found = np.linalg.lstsq(both / scale, values, rcond=None)[0]
+    left = values - (both / scale) @ found
+    return 1 - float(left @ left / (values @ values)), (found / scale)[: len(by)]
+
+
+def _candidates(motion: Motion, lines: NDArray[np.int64]) -> Iterator[Change]:
+    """Every two channels swapped, and every channel in another unit or reversed."""
+    channels = [name for name in motion.spectra if name in motion.noise]
+    yield from (Change("swapped", both) for both in combinations(channels, 2))
+    for name in channels:
+        kind = "a" if name == signals.GROUND else name[0]
+        yield Change("reversed", (name,), -1.0)
+        for sign in (1.0, -1.0):
+            yield from (Change("unit", (name,), sign * factor, unit) for unit, factor in UNITS[kind].items())
+        factor = _factor(motion, name, lines)
+        if factor is not None and abs(factor) > 1e-9:
+            yield Change("unit", (name,), factor)
+
+
+def _factor(motion: Motion, name: str, lines: NDArray[np.int64]) -> float | None:
+    """What the readings of a floor's sensor are too large by, from the floor's other one."""
+    if name[0] not in "xa" or name.startswith("xf"):
+        return None
+    both = _relative(motion, int(name[1:]), lines)
+    if both is None:
+        return None
+    relative, second, weight = both
+    if name[0] == "x":
+        one, other = second, relative
+    else:
+        one, other = relative + motion.spectra[signals.GROUND][lines], second + motion.spectra[signals.GROUND][lines]
+    one, other = one * weight, other * weight
+    return float(np.real(np.vdot(other, one)) / np.real(np.vdot(other, other)))
+
+
+def _lags(motion: Motion, lines: NDArray[np.int64]) -> dict[int, float]:
+    found = {}
+    omega = motion.omega[lines]
+    for floor in range(1, motion.floors + 1):
+        both = _relative(motion, floor, lines)
+        if both is not None:
+            one, other, weight = both
+            # a late reading is (1 - i w lag) times the one in time, to first order
+            turned = -1j * omega * other * weight
+            difference = (one - other) * weight
+            found[floor] = float(np.real(np.vdot(turned, difference)) / np.real(np.vdot(turned, turned)))
+    return found

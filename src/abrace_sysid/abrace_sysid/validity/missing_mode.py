@@ -1,0 +1,108 @@
+"""Whether what a model leaves over of a test is one more mode: then a single pole pair explains nearly all of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import optimize
+
+from abrace_sysid.fitting.pole_basis import Sampling
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_sysid.spectra.holds import InputHold
+    from abrace_sysid.validity.residuals import Residual
+
+NEAR = 0.1
+"""Half-width of the lines about the strongest residual that are fitted, as a share of its frequency."""
+
+LEAST_LINES = 40
+
+DAMPING = (0.003, 0.02, 0.1)
+"""To start from."""
+
+EXPLAINED, SMOOTH = 0.9, 0.8
+"""Least share of a residual that a missing mode explains, and greatest that follows the input without any resonance.
+Friction and backlash leave residuals of which a mode explains less than half."""
+
+
+@dataclass(frozen=True)
+class MissingMode:
+    """The pole pair that explains most of the strongest residual.
+
+    Parameters
+    ----------
+    frequency, damping
+        [rad/s] and ratio.
+    explained, smoothly
+        Shares of the residual beyond noise, about that frequency, that it explains, and that a straight line over
+        frequency times the inputs explains, which is no mode.
+    """
+
+    frequency: float
+    damping: float
+    explained: float
+    smoothly: float
+
+    @property
+    def is_one(self) -> bool:
+        """Whether the residual is a mode."""
+        return self.explained > EXPLAINED and self.smoothly < SMOOTH and 1e-4 < self.damping < 0.3
+
+
+def missing_mode(residual: Residual, holds: Sequence[InputHold]) -> MissingMode | None:
+    """The mode that explains most of a residual; None where there is no residual beyond noise.
+
+    Parameters
+    ----------
+    residual
+        Of a test with noise.
+    holds
+        How each input moves between samples.
+    """
+    omega, power, sample_period = residual.omega, residual.ratio.sum(axis=1), residual.sample_period
+    smooth = np.convolve(power, np.ones(5) / 5, "same")
+    centre = int(np.argmax(smooth))
+    reach = max(LEAST_LINES, int(NEAR * omega[centre] / (omega[1] - omega[0])))
+    lines = slice(max(0, centre - reach), centre + reach + 1)
+    z, excitation = np.exp(1j * omega[lines] * sample_period), residual.excitation[lines]
+    left = residual.left[lines] / np.sqrt(residual.noise[lines])
+    total, expected = float(np.sum(np.abs(left) ** 2)), float(left.size)
+    if total < 2 * expected:
+        return None
+
+    constant = np.ones((len(z), 1), dtype=np.complex128)
+
+    def without(columns: Sequence[NDArray[np.complex128]]) -> float:
+        stacked = np.column_stack(columns)
+        q = np.linalg.qr(stacked / np.linalg.norm(stacked, axis=0))[0]
+        return float(np.sum(np.abs(left - q @ (q.conj().T @ left)) ** 2))
+
+    def rest(parameters: NDArray[np.float64]) -> float:
+        frequency, damping = np.exp(parameters)
+        if damping > 0.5:
+            return total
+        pole = frequency * complex(-damping, np.sqrt(1 - damping**2))
+        columns = [constant]
+        for side in (pole, pole.conjugate()):
+            responses = [Sampling(sample_period, hold).response(side, z)[0] for hold in holds]
+            columns += [excitation * np.column_stack(responses), Sampling(sample_period).transient(side, z)[0]]
+        return without(columns)
+
+    starts = [np.log([omega[centre], damping]) for damping in DAMPING]
+    first = min(starts, key=rest)
+    found = optimize.minimize(
+        rest, first, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-3 * total, "maxiter": 120}
+    )
+    frequency, damping = np.exp(found.x)
+    along = np.linspace(-1, 1, len(z))[:, None]
+    shares = [
+        min(1.0, (total - left_over) / (total - expected))
+        for left_over in (float(found.fun), without([constant, along * constant, excitation, along * excitation]))
+    ]
+    return MissingMode(float(frequency), float(damping), shares[0], shares[1])

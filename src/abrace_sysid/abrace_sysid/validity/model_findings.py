@@ -1,0 +1,286 @@
+"""Findings on the identified model: what it leaves over of the tests, whether the tests agree, the servos' lags."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+
+from abrace_sysid.validity.consistency import differences, pieces_of
+from abrace_sysid.validity.finding import Finding, Verdict, judged
+from abrace_sysid.validity.missing_mode import missing_mode
+from abrace_sysid.validity.residuals import dependence
+from abrace_sysid.validity.rig_findings import FALSE_ALARM
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from abrace_sysid.fitting.pole_estimate import PoleInterval
+    from abrace_sysid.spectra.holds import InputHold
+    from abrace_sysid.spectra.measured_tests import TestData
+    from abrace_sysid.validity.consistency import Difference
+    from abrace_sysid.validity.missing_mode import MissingMode
+    from abrace_sysid.validity.residuals import Dependence, Residual
+
+UNEXPLAINED = (0.01, 0.2)
+"""Residual beyond noise, as a share of a channel's response: from the first on care is needed, from the second on the
+model cannot be trusted."""
+
+NEGLIGIBLE = 0.005
+"""The same, up to which it does not matter whether the residual is white."""
+
+LINEAR = 0.6
+"""Share of a residual's power that follows the input, from which on it is dynamics that the model lacks."""
+
+DIFFERENT_FREQUENCY, DIFFERENT_DAMPING = (1e-3, 0.05), (0.03, 0.5)
+"""Relative differences of a mode between two tests from which on care is needed, and nothing can be trusted."""
+
+LAG_DIFFERENCE = (0.5, 0.0005)
+"""Difference of a servo's lag from the one given, as a share of it and in seconds, from both of which on it matters."""
+
+
+def unexplained(residual: Residual, nonlinear: Sequence[str], holds: Sequence[InputHold]) -> list[Finding]:
+    """Findings on what the model leaves over of one test: how much, of what colour, and whether it follows the input.
+
+    Parameters
+    ----------
+    residual
+        Of the test.
+    nonlinear
+        Faults already found that leave a residual, by name.
+    holds
+        How each input moves between samples.
+    """
+    depends = dependence(residual) if residual.excited else None
+    mode = None
+    if residual.excess.max() > NEGLIGIBLE:
+        mode = missing_mode(residual, holds)
+    cause, advice = _cause(residual, depends, mode, nonlinear)
+    worst = int(np.argmax(residual.excess))
+    name, source = residual.outputs[worst], residual.source
+    certain = residual.probability.min() * len(residual.outputs) < FALSE_ALARM
+    excess = float(residual.excess[worst]) if certain else 0.0
+    verdict = judged(excess, *UNEXPLAINED)
+    meaning = f"the model leaves {_percent(excess)} of {name} unexplained in {source}, beyond noise"
+    if verdict and mode is not None and mode.is_one:
+        meaning += (
+            f"; a mode at {mode.frequency / (2 * np.pi):.3g} Hz, {_percent(mode.damping)} of damping, explains it"
+        )
+    elif not verdict:
+        meaning = f"the model explains {source} but for noise"
+    findings = [
+        _finding("residual", f"{name}, {source}", excess, UNEXPLAINED[0], verdict, cause, meaning, advice),
+        _whiteness(residual),
+    ]
+    if depends is not None:
+        findings.append(_independence(residual, depends, cause, advice))
+    if mode is not None and mode.is_one and not verdict:
+        findings += _small_mode(residual, mode)
+    return findings
+
+
+def _cause(
+    residual: Residual, depends: Dependence | None, mode: MissingMode | None, nonlinear: Sequence[str]
+) -> tuple[str, str]:
+    if mode is not None and mode.is_one:
+        return "mode missed", "Raise command_order by two, or widen the band, and identify again"
+    worst = int(np.argmax(residual.excess))
+    excess = max(float(residual.excess[worst]), 1e-12)
+    if depends is not None and (depends.total[worst] / excess) ** 2 > LINEAR:
+        advice = "The rest is linear dynamics: another order, band or lag may explain it"
+        return "unmodelled dynamics", advice
+    if nonlinear:
+        return nonlinear[0], ""
+    return "nonlinear", "Test with multisines at two amplitudes: distortion and its growth say what it is"
+
+
+def _small_mode(residual: Residual, mode: MissingMode) -> list[Finding]:
+    """A mode that is missed but leaves little: named where a model should have it."""
+    return [
+        _finding(
+            "modes",
+            f"{mode.frequency / (2 * np.pi):.3g} Hz, {residual.source}",
+            float(residual.excess.max()),
+            NEGLIGIBLE,
+            Verdict.CARE,
+            "mode missed",
+            f"a mode at {mode.frequency / (2 * np.pi):.3g} Hz is not in the model",
+            "Raise command_order by two and identify again",
+        )
+    ]
+
+
+def _whiteness(residual: Residual) -> Finding:
+    """Of the channel whose coloured residual is the greatest share of its response; a white one counts as none."""
+    distance, frequency = residual.whiteness()
+    coloured = distance > float(stats.kstwobign.isf(FALSE_ALARM / len(distance)))
+    shares = np.where(coloured, residual.excess, 0.0)
+    worst = int(np.argmax(shares))
+    name, source = residual.outputs[worst], residual.source
+    verdict = judged(float(shares[worst]), NEGLIGIBLE)
+    meaning = f"the residual of {source} is as white as noise, or too small to matter"
+    if verdict:
+        hertz = float(frequency[worst]) / (2 * np.pi)
+        meaning = f"the residual of {name} in {source} is not noise: most of it is near {hertz:.3g} Hz"
+    return _finding("whiteness", f"{name}, {source}", shares[worst], NEGLIGIBLE, verdict, "", meaning, "")
+
+
+def _independence(residual: Residual, depends: Dependence, cause: str, advice: str) -> Finding:
+    certain = depends.probability.min() * depends.probability.size < FALSE_ALARM
+    # of channels that are no more than noise the share says nothing
+    shares = np.where(depends.probability.min(axis=0) * depends.probability.size < FALSE_ALARM, depends.total, 0.0)
+    shares = np.where(residual.excess > NEGLIGIBLE, shares, 0.0)
+    worst = int(np.argmax(shares))
+    share = float(shares[worst]) if certain else 0.0
+    verdict = judged(share, *UNEXPLAINED)
+    at = float(depends.omega[np.argmin(depends.probability[:, worst])]) / (2 * np.pi)
+    name, source = residual.outputs[worst], residual.source
+    meaning = (
+        f"{_percent(share)} of {name} in {source} follows the input and is not in the model, most surely at {at:.3g} Hz"
+        if verdict
+        else f"the residual of {source} does not follow the input"
+    )
+    return _finding("independence", f"{name}, {source}", share, UNEXPLAINED[0], verdict, cause, meaning, advice)
+
+
+def disagreeing(
+    check: str, names: tuple[str, str], one: Sequence[PoleInterval], other: Sequence[PoleInterval], cause: str
+) -> list[Finding]:
+    """A finding on two estimates of the same modes: Wald's test, and how large the difference is.
+
+    Parameters
+    ----------
+    check
+        Its name.
+    names
+        What the estimates are from.
+    one, other
+        Pairs.
+    cause
+        The fault that would explain a difference.
+    """
+    found = differences(one, other)
+    if not found:
+        return []
+    certain = [each for each in found if each.probability * len(found) < FALSE_ALARM]
+    worst = max(certain or found, key=_size)
+    verdict = _different(worst) if certain else Verdict.TRUST
+    value = abs(worst.damping_change) if certain else 0.0
+    meaning, advice = f"{names[0]} and {names[1]} agree on {len(found)} modes", ""
+    if verdict:
+        meaning = (
+            f"{names[0]} and {names[1]} do not agree: mode at {worst.frequency / (2 * np.pi):.3g} Hz, frequency "
+            f"{100 * worst.frequency_change:+.2g} %, damping {100 * worst.damping_change:+.2g} %, by chance with a "
+            f"probability of {worst.probability:.1g}"
+        )
+        advice = "Use the poles of the test whose amplitude is that of use; the common ones lie between both"
+    where = f"{worst.frequency / (2 * np.pi):.3g} Hz"
+    return [_finding(check, where, value, DIFFERENT_DAMPING[0], verdict, cause, meaning, advice)]
+
+
+def _size(one: Difference) -> float:
+    return max(
+        abs(one.frequency_change) / DIFFERENT_FREQUENCY[0],
+        abs(one.damping_change) / DIFFERENT_DAMPING[0],
+    )
+
+
+def _different(one: Difference) -> Verdict:
+    return max(
+        judged(abs(one.frequency_change), *DIFFERENT_FREQUENCY), judged(abs(one.damping_change), *DIFFERENT_DAMPING)
+    )
+
+
+def modes_of_both(table: Sequence[PoleInterval], common: Sequence[PoleInterval]) -> list[Finding]:
+    """A finding for each mode that the table's tests show and the model of all tests has not.
+
+    Parameters
+    ----------
+    table, common
+        Pairs from the table's tests, and of the model.
+    """
+    missing = [
+        pair
+        for pair in table
+        if min(abs(each.frequency / pair.frequency - 1) for each in common) > DIFFERENT_FREQUENCY[1]
+    ]
+    return [
+        _finding(
+            "modes",
+            f"{pair.frequency / (2 * np.pi):.3g} Hz",
+            float(len(missing)),
+            0.0,
+            Verdict.DONT,
+            "mode missed",
+            f"the table's tests show a mode at {pair.frequency / (2 * np.pi):.3g} Hz that the model has not",
+            "Raise command_order by two and identify again",
+        )
+        for pair in missing
+    ]
+
+
+def repeated(data: TestData, poles: np.ndarray, cause: str) -> list[Finding]:
+    """Findings on repeated tests of one kind, or on the halves of the only one: whether their modes agree.
+
+    Parameters
+    ----------
+    data
+        The tests.
+    poles
+        Those of all tests together that these show.
+    cause
+        The fault that would explain a difference.
+    """
+    if data.periodic or data.input != data.together[0]:
+        return []
+    pieces = pieces_of(data, poles)
+    return [
+        finding
+        for (name, one), (other_name, other) in pairwise(pieces)
+        for finding in disagreeing("repeated tests", (f"{data.source}, {name}", other_name), one, other, cause)
+    ]
+
+
+def lag(command: str, source: str, measured: float | None, given: float) -> list[Finding]:
+    """A finding on a servo's lag.
+
+    Parameters
+    ----------
+    command, source
+        Its command, and the tests.
+    measured, given
+        Seconds; None: the tests show none.
+    """
+    if measured is None:
+        return []
+    difference, limit = abs(measured - given), max(LAG_DIFFERENCE[0] * given, LAG_DIFFERENCE[1])
+    verdict = judged(difference, limit)
+    meaning = f"{command} acts {1e3 * measured:.2g} ms late in {source}, servo_lag says {1e3 * given:.2g} ms"
+    advice = "model.json has what was measured; set servo_lag to it, and look for filters and delays on the way"
+    return [
+        _finding(
+            "lag of the servo", command, difference, limit, verdict, "lag", meaning, advice if verdict else "", "s"
+        )
+    ]
+
+
+def _finding(
+    check: str,
+    where: str,
+    value: float,
+    limit: float,
+    verdict: Verdict,
+    cause: str,
+    meaning: str,
+    advice: str,
+    unit: str = "",
+) -> Finding:
+    """Without cause and advice where nothing was found."""
+    spoken = (cause, meaning, advice) if verdict else ("", meaning, "")
+    return Finding(check, where, float(value), float(limit), unit, verdict, *spoken)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"

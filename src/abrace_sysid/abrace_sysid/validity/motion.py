@@ -1,0 +1,143 @@
+"""The spectra of a test's channels, their noise, and the floors' displacements from all sensors of a floor together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import fft, signal
+
+from abrace_core import signals
+from abrace_sysid.spectra.fourier import held_input
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    from numpy.typing import NDArray
+
+    from abrace_core.run import Run
+
+QUIET = (1.3, 0.8)
+"""Where a record is sensor noise alone: from so often the highest excited frequency to a share of half the rate."""
+
+
+def noise_level(series: NDArray[np.float64], sample_period: float, highest: float) -> float:
+    """Standard deviation of white sensor noise, from the median power above what was excited.
+
+    Parameters
+    ----------
+    series
+        (samples,).
+    sample_period
+        Seconds.
+    highest
+        Frequency [Hz] up to which the rig was excited.
+    """
+    window = np.hanning(len(series))
+    power = np.abs(fft.rfft(series * window)) ** 2 / np.sum(window**2)
+    frequency = fft.rfftfreq(len(series), sample_period)
+    half = frequency[-1]
+    low = min(QUIET[0] * highest, 0.9 * QUIET[1] * half)
+    return float(np.sqrt(np.median(power[(frequency > low) & (frequency < QUIET[1] * half)]) / np.log(2)))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One test, line by line.
+
+    Parameters
+    ----------
+    source
+        The test.
+    floors, groups
+        Of the rig.
+    braces
+        (groups,) braces in each group.
+    samples, sample_period
+        Of the record.
+    omega
+        (lines,) [rad/s] of the whole record, from 0 on.
+    spectra
+        Of each channel that answers, of w and of the commands: (lines,), over the square root of the samples.
+    noise
+        Standard deviation of each channel's noise.
+    """
+
+    source: str
+    floors: int
+    groups: int
+    braces: tuple[int, ...]
+    samples: int
+    sample_period: float
+    omega: NDArray[np.float64]
+    spectra: Mapping[str, NDArray[np.complex128]]
+    noise: Mapping[str, float]
+
+    @classmethod
+    def of(cls, run: Run, highest: float) -> Motion:
+        """The motion in a test.
+
+        Parameters
+        ----------
+        run
+            The test.
+        highest
+            Frequency [Hz] up to which the rig was excited.
+        """
+        names = [*run.names, signals.GROUND]
+        series = signal.detrend(run.channels(names), axis=0)
+        commands = np.column_stack([held_input(run, name) for name in run.command_names])
+        spectra = fft.rfft(np.hstack([series, commands]), axis=0) / np.sqrt(len(series))
+        noise = [noise_level(column, run.sample_period, highest) for column in series.T]
+        return cls(
+            run.source,
+            run.floors,
+            run.groups,
+            run.braces or (1,) * run.groups,
+            len(series),
+            run.sample_period,
+            2 * np.pi * fft.rfftfreq(len(series), run.sample_period),
+            dict(zip((*names, *run.command_names), spectra.T, strict=True)),
+            dict(zip(names, noise, strict=True)),
+        )
+
+    def with_channels(self, spectra: Mapping[str, NDArray[np.complex128]], noise: Mapping[str, float]) -> Motion:
+        """The same test with some channels' spectra and noise in place of its own."""
+        return replace(self, spectra={**self.spectra, **spectra}, noise={**self.noise, **noise})
+
+    def without(self, names: Collection[str]) -> Motion:
+        """The same test without the channels of these `names`."""
+        return replace(self, spectra={name: one for name, one in self.spectra.items() if name not in names})
+
+    def within(self, band: tuple[float, float]) -> NDArray[np.int64]:
+        """Numbers of the lines in a band [Hz]."""
+        low, high = (2 * np.pi * edge for edge in band)
+        return np.flatnonzero((self.omega >= low) & (self.omega <= high) & (self.omega > 0))
+
+    def displacement(self, floor: int) -> NDArray[np.complex128] | None:
+        """(lines,) of a floor, 1 the lowest, from its displacement sensor and accelerometer, each by its noise.
+
+        None where neither answers. Lines at which the table's motion has no reading have the displacement sensor alone.
+        """
+        x, a, w = (self.spectra.get(name) for name in (f"x{floor}", f"a{floor}", signals.GROUND))
+        square = np.where(self.omega > 0, self.omega, 1.0) ** 2
+        if a is None or w is None:
+            return x
+        of_acceleration = (w - a) / square
+        if x is None:
+            return of_acceleration
+        precise = square**2 / (self.noise[f"a{floor}"] ** 2 + self.noise[signals.GROUND] ** 2)
+        own = 1 / self.noise[f"x{floor}"] ** 2
+        return np.asarray((own * x + precise * of_acceleration) / (own + precise))
+
+    def series(self, spectrum: NDArray[np.complex128], band: tuple[float, float]) -> NDArray[np.float64]:
+        """(samples,) of what a `spectrum` has in a `band` [Hz]."""
+        kept = np.zeros_like(spectrum)
+        lines = self.within(band)
+        kept[lines] = spectrum[lines]
+        return np.asarray(fft.irfft(kept, self.samples) * np.sqrt(self.samples))
+
+    def spectrum(self, series: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """(lines,) of a `series` (samples,), in the scale of the others."""
+        return np.asarray(fft.rfft(series) / np.sqrt(self.samples))

@@ -1,0 +1,135 @@
+"""Findings on what is not linear in the rig: friction of storeys, backlash of braces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isnan
+from typing import TYPE_CHECKING
+
+from scipy import stats
+
+from abrace_sysid.validity.finding import Finding, Verdict, judged
+from abrace_sysid.validity.mechanics import backlashes, storey_frictions
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from abrace_sysid.validity.mechanics import StoreyFriction
+    from abrace_sysid.validity.motion import Motion
+
+FALSE_ALARM = 1e-3
+"""Probability that one kind of check alarms on a linear rig by noise alone; shared by all that it looks at."""
+
+ADDED_DAMPING = (2e-4, 0.03)
+"""Damping ratio that friction adds at a test's amplitude: from the first on care is needed, from the second on the
+model cannot be trusted."""
+
+LOOSE_PINS = (0.003, 0.2)
+"""Likewise half the clearance of a brace's pins, over the rms of its stroke."""
+
+AGREEING = 2.0
+"""Deviations by which the equation of the floor below must show the same friction."""
+
+
+def normal_limit(checks: int) -> float:
+    """Deviations from zero that noise alone exceeds with FALSE_ALARM in any of so many `checks`."""
+    return float(stats.norm.isf(FALSE_ALARM / 2 / max(checks, 1)))
+
+
+def friction(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[Finding]:
+    """A finding for each storey that has friction, or one that none has.
+
+    Parameters
+    ----------
+    tests
+        Each with the band [Hz] in which its floors' equations are fitted.
+    """
+    found = [(motion.source, one) for motion, band in tests for one in storey_frictions(motion, band)]
+    limit = normal_limit(len(found))
+
+    def certain(one: StoreyFriction) -> bool:
+        agrees = isnan(one.opposite) or one.opposite > AGREEING
+        return one.acceleration > limit * one.deviation and agrees
+
+    advice = "Damping and intervals hold at the amplitude of the tests alone: test at that of use, or free the bearings"
+    return _findings(
+        "friction",
+        "of critical damping",
+        ADDED_DAMPING,
+        advice,
+        [
+            _Part(
+                f"storey {one.storey}",
+                one.damping,
+                certain(one),
+                f"friction in storey {one.storey}",
+                _amount(one, source),
+            )
+            for source, one in found
+        ],
+    )
+
+
+def _amount(one: StoreyFriction, source: str) -> str:
+    relative = one.deviation / one.acceleration
+    size = f"{one.force:.3g} +- {relative * one.force:.1g} N"
+    if isnan(one.force):
+        size = f"{one.acceleration:.2g} +- {one.deviation:.1g} m/s^2 of the floor's mass"
+    return f"{size} in {source} (adds {100 * one.damping:.2g} % of damping)"
+
+
+def backlash(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[Finding]:
+    """A finding for each brace group whose pins are loose, or one that none are.
+
+    Parameters
+    ----------
+    tests
+        Each with the band [Hz] in which its strokes' equations are fitted.
+    """
+    found = [(motion.source, one) for motion, band in tests for one in backlashes(motion, band)]
+    limit = normal_limit(len(found))
+    return _findings(
+        "backlash",
+        "of the stroke",
+        LOOSE_PINS,
+        "Tighten or shim the pins; until then the model does not hold for forces that only cross the clearance",
+        [
+            _Part(
+                f"brace group {one.group}",
+                one.share,
+                one.clearance > limit * one.deviation,
+                f"backlash in the pins of brace group {one.group}",
+                f"{1e3 * one.clearance:.2g} mm in {source}",
+            )
+            for source, one in found
+        ],
+    )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Of a storey or brace group in one test: how much, whether beyond chance, and in words what and how much."""
+
+    where: str
+    value: float
+    certain: bool
+    what: str
+    amount: str
+
+
+def _findings(fault: str, unit: str, limits: tuple[float, float], advice: str, parts: Sequence[_Part]) -> list[Finding]:
+    """A finding for each storey or brace group that has the fault, from all tests, or one that none has."""
+    if not parts:
+        return []
+    findings = []
+    for where in dict.fromkeys(part.where for part in parts):
+        shown = [part for part in parts if part.where == where and part.certain and part.value > limits[0]]
+        if shown:
+            worst = max(part.value for part in shown)
+            meaning = f"{shown[0].what}: {'; '.join(part.amount for part in shown)}"
+            verdict = judged(worst, *limits)
+            findings.append(Finding(fault, where, worst, limits[0], unit, verdict, fault, meaning, advice))
+    if not findings:
+        value = max(0.0, *(part.value for part in parts))
+        findings.append(Finding(fault, "everywhere", value, limits[0], unit, Verdict.TRUST, "", f"no {fault}", ""))
+    return findings

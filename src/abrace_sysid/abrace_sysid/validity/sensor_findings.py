@@ -1,0 +1,184 @@
+"""Findings on the channels of the tests: dead, saturated, swapped, in another unit, reversed, late."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from abrace_core import signals
+from abrace_sysid.recordings import at_extremes
+from abrace_sysid.spectra.fourier import held_input
+from abrace_sysid.validity.finding import Finding, Verdict, judged
+from abrace_sysid.validity.kinematics import CONTRADICTION, Change, kinematics
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from abrace_core.run import Run
+    from abrace_sysid.validity.kinematics import Kinematics
+    from abrace_sysid.validity.motion import Motion
+
+SATURATED = (0.0, 0.02)
+"""Share of a channel's samples at the end of its range: from more than the first on care is needed, from the second on
+nothing can be trusted."""
+
+LATE = (0.0015, 0.01)
+"""Likewise seconds between two sensors of a floor. Filters and transducers of a rig as it is differ by 0.0007 s."""
+
+
+def dead(run: Run, reasons: Mapping[str, str]) -> list[Finding]:
+    """A finding for each channel of a test that is no response.
+
+    Parameters
+    ----------
+    run
+        The test.
+    reasons
+        By channel (`recordings.dead_channels`).
+    """
+    check, advice = "channels that answer", "Look at sensor, cable and channel number, and repeat the test"
+    if not reasons:
+        return [Finding(check, run.source, 0.0, 0.0, "channels", Verdict.TRUST, "", "every channel answers", "")]
+    return [
+        Finding(
+            check,
+            f"{name}, {run.source}",
+            1.0,
+            0.0,
+            "channels",
+            Verdict.CARE,
+            "dead channel",
+            f"{name} is dead in {run.source}: {reason}; no model has it",
+            advice,
+        )
+        for name, reason in reasons.items()
+    ]
+
+
+def saturated(run: Run, inputs: Sequence[str], without: Sequence[str], period: int | None) -> list[Finding]:
+    """A finding for each channel of a test at the end of its range, or one that none is.
+
+    Parameters
+    ----------
+    run
+        The test.
+    inputs
+        What was excited.
+    without
+        Channels that are no response.
+    period
+        Samples of a period of a multisine.
+    """
+    flags = run.clipped_samples or {}
+    found = []
+    for name in (*run.names, signals.GROUND, *run.command_names):
+        values = held_input(run, name)
+        middle = len(values) // 2
+        # each period of a multisine reaches its peak once
+        kept = values if period is None else values[middle : middle + period]
+        count = 0 if name in without else at_extremes(kept)
+        count += sum(flags.get(flag, 0) for flag in (name, f"{name}a", f"{name}b") if not count)
+        if count:
+            found.append((count / len(kept), name, count))
+    check = "within the range"
+    if not found:
+        return [Finding(check, run.source, 0.0, SATURATED[0], "", Verdict.TRUST, "", "no channel is saturated", "")]
+    return [
+        Finding(
+            check,
+            f"{name}, {run.source}",
+            share,
+            SATURATED[0],
+            "",
+            judged(share, *SATURATED),
+            "saturation",
+            f"{name} is saturated in {run.source}: {count} samples ({share:.2g} of them) are at its extremes",
+            "Repeat the test with less excitation" if name not in inputs else "Ask for less than the input can give",
+        )
+        for share, name, count in sorted(found, reverse=True)
+    ]
+
+
+def contradicting(motion: Motion, band: tuple[float, float]) -> tuple[list[Finding], Kinematics]:
+    """Findings on sensors of one test that contradict each other, and the comparison itself.
+
+    Parameters
+    ----------
+    motion
+        The test.
+    band
+        [Hz] of the building's modes.
+    """
+    found = kinematics(motion, band)
+    check, source = "sensors agree", motion.source
+    worst = max(found.contradictions.values(), default=0.0)
+    findings = [
+        Finding(
+            check,
+            f"{' and '.join(change.channels)}, {source}",
+            worst,
+            CONTRADICTION,
+            "",
+            Verdict.DONT,
+            *_named(change, source),
+        )
+        for change in found.changes
+    ]
+    if max(found.left.values(), default=0.0) > CONTRADICTION:
+        rest = ", ".join(name for name, value in found.left.items() if value > CONTRADICTION)
+        findings.append(
+            Finding(
+                check,
+                f"{rest}, {source}",
+                max(found.left.values()),
+                CONTRADICTION,
+                "",
+                Verdict.DONT,
+                "sensors that disagree",
+                f"{rest} contradict each other in {source}, and no swap, unit or sign explains it",
+                "Check these channels one by one: tap, tilt or move each sensor by hand",
+            )
+        )
+    if not findings:
+        meaning = "accelerations, displacements, strokes and forces agree"
+        findings.append(Finding(check, source, worst, CONTRADICTION, "", Verdict.TRUST, "", meaning, ""))
+    return findings + _late(found, source), found
+
+
+def _named(change: Change, source: str) -> tuple[str, str, str]:
+    """Cause, meaning and advice of a change."""
+    if change.kind == "swapped":
+        both = " and ".join(change.channels)
+        return "swapped sensors", f"{both} are swapped in {source}", "Correct the channel list, or the cables"
+    (name,) = change.channels
+    if change.kind == "reversed":
+        return "wrong sign", f"{name} has the wrong sign in {source}", "Turn the sensor, or its sign in the calibration"
+    size = f"{abs(change.factor):.4g} times too large" + (" and reversed" if change.factor < 0 else "")
+    unit = f": {change.unit} in place of {signals.unit(name)}" if change.unit else ""
+    return "wrong unit", f"{name} is {size} in {source}{unit}", "Correct unit or sensitivity in the calibration"
+
+
+def _late(found: Kinematics, source: str) -> list[Finding]:
+    if not found.lags:
+        return []
+    check = "sensors in time"
+    late = {floor: lag for floor, lag in found.lags.items() if abs(lag) > LATE[0]}
+    worst = max(abs(lag) for lag in found.lags.values())
+    if not late or found.changes:
+        return [Finding(check, source, worst, LATE[0], "s", Verdict.TRUST, "", "sensors of a floor are in time", "")]
+    findings = []
+    for floor, lag in late.items():
+        first, second = (f"a{floor}", f"x{floor}") if lag > 0 else (f"x{floor}", f"a{floor}")
+        findings.append(
+            Finding(
+                check,
+                f"{first}, {source}",
+                abs(lag),
+                LATE[0],
+                "s",
+                judged(abs(lag), *LATE),
+                "lag",
+                f"{first} is {1e3 * abs(lag):.2g} ms later than {second} in {source}",
+                "Give both sensors the same filter, or sample them together",
+            )
+        )
+    return findings

@@ -1,0 +1,190 @@
+"""What validity says of a linear rig, and of each planted fault."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from laboratory import Laboratory
+
+from abrace_core.errors import AbraceError
+from abrace_core.noise import banded_noise
+from abrace_sysid.figures.validity import validity_figure, worst_of_each
+from abrace_sysid.fitting.options import IdentificationOptions
+from abrace_sysid.identification import identify
+from abrace_sysid.validity.finding import Finding, Validity, Verdict
+from abrace_sysid.validity.judgement import judge
+from abrace_sysid.validity.kinematics import kinematics
+from abrace_sysid.validity.mechanics import backlashes, storey_frictions
+from abrace_sysid.validity.motion import Motion
+from abrace_sysid.validity.sensor_findings import dead, saturated
+from abrace_sysid.validity_results import write_validity
+
+BAND, OPTIONS = (0.3, 10.0), IdentificationOptions()
+SECONDS = 80.0
+
+
+@pytest.fixture(scope="module")
+def judged(table_test, command_test, identified):
+    return judge([table_test], [command_test], OPTIONS, identified)
+
+
+def changed(run, name, change):
+    outputs = run.outputs.copy()
+    outputs[:, run.names.index(name)] = change(outputs[:, run.names.index(name)])
+    return replace(run, outputs=outputs)
+
+
+def swapped(run, one, other):
+    columns = [run.names.index(one), run.names.index(other)]
+    outputs = run.outputs.copy()
+    outputs[:, columns] = outputs[:, columns[::-1]]
+    return replace(run, outputs=outputs)
+
+
+def changes(run):
+    return [(one.kind, one.channels, one.unit) for one in kinematics(Motion.of(run, 10.0), BAND).changes]
+
+
+def shaken(rig, **of_rig):
+    ground = banded_noise(int(SECONDS * 500), 500.0, (0.0, 10.0), 0.25, 77)
+    return Laboratory(replace(rig, **of_rig), 5).open_loop("bags/shaken", ground, 0 * ground)
+
+
+def test_a_linear_rig_is_trusted(judged):
+    assert judged.validity.verdict == Verdict.TRUST
+    assert judged.validity.causes == ()
+    assert judged.validity.not_checked == {}
+    assert judged.validity.text() == "validity: trust"
+
+
+def test_residuals_of_a_linear_rig_are_as_large_as_its_noise(judged):
+    assert len(judged.residuals) == 2
+    for residual in judged.residuals:
+        assert residual.ratio.mean(axis=0) == pytest.approx(1.0, abs=0.1)
+        assert residual.excess.max() < 0.004
+
+
+@pytest.mark.parametrize("both", [("x1", "x2"), ("a2", "a3"), ("x1", "xf"), ("x2", "a2"), ("x3", "f")])
+def test_swapped_sensors_are_named(table_test, both):
+    assert changes(swapped(table_test, *both)) == [("swapped", both, "")]
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "unit"),
+    [("a1", 1 / 9.80665, "g"), ("x2", 1000.0, "mm"), ("xf", 100.0, "cm"), ("a3", 100.0, "cm/s^2"), ("f", 0.001, "kN")],
+)
+def test_a_channel_in_another_unit_is_named_with_the_unit(command_test, name, factor, unit):
+    assert changes(changed(command_test, name, lambda values: factor * values)) == [("unit", (name,), unit)]
+
+
+def test_a_sensor_of_the_wrong_sign_is_named(table_test):
+    assert changes(changed(table_test, "a2", np.negative)) == [("reversed", ("a2",), "")]
+    assert changes(replace(table_test, ground_acceleration=-table_test.ground_acceleration)) == [
+        ("reversed", ("w",), "")
+    ]
+
+
+def test_two_faults_are_both_named(table_test):
+    found = changes(changed(swapped(table_test, "x1", "x2"), "a3", lambda values: values / 9.80665))
+    assert set(found) == {("swapped", ("x1", "x2"), ""), ("unit", ("a3",), "g")}
+
+
+def test_a_late_accelerometer_is_measured(table_test):
+    def late(values):
+        when = np.arange(len(values))
+        return np.interp(when - 1.5, when, values)
+
+    found = kinematics(Motion.of(changed(table_test, "a2", late), 10.0), BAND)
+    assert found.changes == ()
+    assert found.lags[2] == pytest.approx(0.003, abs=2e-4)
+    assert abs(found.lags[1]) < 2e-4
+
+
+def test_friction_of_a_storey_is_measured_in_newtons_and_of_the_others_none(rig):
+    run = shaken(rig, building=replace(rig.building, friction=(0.0, 50.0, 0.0)))
+    first, second, third = storey_frictions(Motion.of(run, 10.0), BAND)
+    assert second.force == pytest.approx(50.0, rel=0.15)
+    assert second.acceleration > 20 * second.deviation
+    assert second.opposite > 20
+    for other in (first, third):
+        assert abs(other.acceleration) < 4.5 * other.deviation
+        assert abs(other.force) < 3
+
+
+def test_backlash_of_the_pins_is_measured_in_metres(rig):
+    (group,) = rig.braces
+    (found,) = backlashes(Motion.of(shaken(rig, braces=(replace(group, backlash=5e-4),)), 10.0), BAND)
+    assert found.clearance == pytest.approx(5e-4, rel=0.1)
+    (none,) = backlashes(Motion.of(shaken(rig), 10.0), BAND)
+    assert abs(none.clearance) < 4.5 * none.deviation
+
+
+def test_a_mode_that_the_order_leaves_out_is_named_with_its_frequency(table_test, command_test):
+    options = replace(OPTIONS, command_order=10)
+    validity = judge([table_test], [command_test], options, identify(table_test, command_test, options)).validity
+    assert validity.verdict == Verdict.CARE
+    assert validity.causes == ("mode missed",)
+    assert "a mode at 9 Hz, 1.2 % of damping" in validity.text()
+
+
+def test_a_dead_channel_is_named(table_test, command_test):
+    still = [changed(run, "a2", lambda values: 0 * values + 0.25) for run in (table_test, command_test)]
+    (found,) = dead(still[0], {"a2": "never changes from 0.25"})
+    assert (found.cause, found.verdict) == ("dead channel", Verdict.CARE)
+    assert "a2 is dead in bags/table: never changes from 0.25" in found.meaning
+
+
+def test_a_saturated_channel_is_named_by_its_samples_and_by_the_flags_of_the_response(table_test):
+    cut = changed(table_test, "a1", lambda values: np.clip(values, -2.5 * np.std(values), 2.5 * np.std(values)))
+    (found,) = saturated(cut, ("w",), (), None)
+    assert (found.cause, found.verdict) == ("saturation", Verdict.CARE)
+    assert found.where == "a1, bags/table"
+    flags = np.zeros(len(table_test.outputs), dtype=np.uint64)
+    flags[500:520] = 1 << table_test.names.index("a2")
+    (found,) = saturated(replace(table_test, clipped=flags), ("w",), (), None)
+    assert found.where == "a2, bags/table"
+    assert saturated(table_test, ("w",), (), None)[0].verdict == Verdict.TRUST
+
+
+def test_where_nothing_is_identified_the_reason_and_the_fault_are_named(table_test, command_test):
+    force = np.clip(command_test.command, -3000.0, 3000.0)
+    cut = replace(command_test, command=force)
+    with pytest.raises(AbraceError, match="clipped") as failed:
+        identify(table_test, cut)
+    validity = judge([table_test], [cut], OPTIONS, None, str(failed.value)).validity
+    assert validity.verdict == Verdict.DONT
+    assert "saturation" in validity.causes
+    assert f"nothing was identified: {failed.value}" in validity.text()
+    assert "there is no model" in validity.not_checked["residuals, agreement of tests, lag"]
+
+
+def test_files_say_verdict_causes_and_every_check(judged, tmp_path):
+    write_validity(judged, tmp_path)
+    content = json.loads((tmp_path / "validity.json").read_text())
+    assert content["verdict"] == "trust"
+    assert content["causes"] == []
+    checks = {finding["check"] for finding in content["findings"]}
+    assert {"sensors agree", "friction", "backlash", "residual", "whiteness", "independence", "two tests"} <= checks
+    for finding in content["findings"]:
+        assert set(finding) == {
+            "check", "where", "value", "limit", "unit", "verdict", "cause", "meaning", "advice"
+        }  # fmt: skip
+    assert (tmp_path / "validity.png").stat().st_size > 20_000
+
+
+def test_the_figure_has_the_verdict_on_top_and_a_bar_for_each_check(judged):
+    bad = Finding("friction", "storey 1", 0.004, 2e-4, "", Verdict.CARE, "friction", "friction in storey 1", "Free it")
+    worse = replace(bad, check="sensors agree", verdict=Verdict.DONT, cause="wrong unit", advice="Correct it")
+    validity = Validity((*judged.validity.findings, bad, worse), {})
+    assert validity.verdict == Verdict.DONT
+    assert validity.causes == ("wrong unit", "friction")
+    figure = validity_figure(validity, judged.residuals)
+    texts = [text.get_text() for part in figure.subfigs for text in part.texts]
+    assert texts[0] == "Don't trust: wrong unit, friction"
+    assert any("Correct it" in text and "Free it" in text for text in texts)
+    (bars,) = (axis for axis in figure.axes if axis.get_xlabel() == "found, times the limit [-]")
+    checks = [finding.check for finding in worst_of_each(validity.findings)]
+    assert [label.get_text() for label in bars.get_yticklabels()] == checks
+    # without a model: no spectra
+    assert len(validity_figure(validity, ()).axes) == 1
