@@ -93,7 +93,10 @@ def pieces_of(data: TestData, poles: NDArray[np.complex128]) -> list[tuple[str, 
     if len(runs) == 1:
         middle = len(runs[0][1].outputs) // 2
         whole = runs[0][1]
-        runs = [("first half", _part(whole, 0, middle)), ("second half", _part(whole, middle, len(whole.outputs)))]
+        runs = [
+            (f"the first half of {whole.source}", _part(whole, 0, middle)),
+            ("the second half", _part(whole, middle, len(whole.outputs))),
+        ]
     omega = data.responses[0].omega / (2 * np.pi)
     band = float(omega[0]), float(omega[-1])
     found = []

@@ -135,15 +135,16 @@ def _of_model(
         return findings, residuals
     findings += model_findings.modes_of_both(poles.table_pairs, poles.common_pairs)
     cause = nonlinear[0] if nonlinear else "tests that differ"
+    building = poles.table_pairs
     findings += model_findings.disagreeing(
-        "two tests", (found.table.source, found.command.source), poles.table_pairs, poles.command_pairs, cause
+        "two tests", (found.table.source, found.command.source), poles.table_pairs, poles.command_pairs, cause, building
     )
     top = 2 * np.pi * options.table_band[1]
-    findings += model_findings.repeated(found.table, estimate.poles[np.abs(estimate.poles) < top], cause)
+    findings += model_findings.repeated(found.table, estimate.poles[np.abs(estimate.poles) < top], cause, building)
     for data in found.commands:
         # a lag of another servo does nothing here
         driven = estimate.drive[:, estimate.inputs.index(data.input)] != 0
-        findings += model_findings.repeated(data, estimate.poles[driven], cause)
+        findings += model_findings.repeated(data, estimate.poles[driven], cause, building)
         measured = measured_lag(estimate, data.input, options.command_band[1])
         findings += model_findings.lag(data.input, data.source, measured, options.servo_lag)
     return findings, residuals

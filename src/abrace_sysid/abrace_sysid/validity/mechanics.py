@@ -97,32 +97,57 @@ class _Floor:
     sign_deviation: NDArray[np.float64]
 
 
-def storey_frictions(motion: Motion, band: tuple[float, float]) -> tuple[StoreyFriction, ...]:
-    """The friction of every storey; none where the sensors are too few.
+@dataclass(frozen=True)
+class _Balance:
+    """The equations of a test's floors, by number, and their displacements, lowest first."""
+
+    motion: Motion
+    band: tuple[float, float]
+    displacements: Sequence[NDArray[np.complex128]]
+    floors: dict[int, _Floor]
+
+    @classmethod
+    def of(cls, motion: Motion, band: tuple[float, float]) -> _Balance | None:
+        """None where a floor has neither a displacement nor an acceleration."""
+        numbers = range(1, motion.floors + 1)
+        displacements = [one for number in numbers if (one := motion.displacement(number)) is not None]
+        if len(displacements) < motion.floors:
+            return None
+        forces = [motion.spectra[name] for name in signals.numbered("f", motion.groups) if name in motion.spectra]
+        drifts = [displacements[0], *(one - below for below, one in pairwise(displacements))]
+        rates = [motion.series(1j * motion.omega * drift, (band[0], FASTEST * band[1])) for drift in drifts]
+        signs = [motion.spectrum(np.sign(rate)) for rate in rates]
+        accelerations = {number: motion.spectra.get(f"a{number}") for number in numbers}
+        floors = {
+            number: _equation(motion, acceleration, displacements, forces, signs, band)
+            for number, acceleration in accelerations.items()
+            if acceleration is not None
+        }
+        return cls(motion, band, displacements, floors)
+
+    @property
+    def surest(self) -> float:
+        """Deviations that a brace's force is away from zero in a floor's equation, at most; 0 without load cells."""
+        return max(
+            (float(np.max(np.abs(one.force) / one.force_deviation, initial=0)) for one in self.floors.values()),
+            default=0.0,
+        )
+
+
+def storey_frictions(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[tuple[str, StoreyFriction]]:
+    """The friction of every storey in every test, with the test's name; none where its sensors are too few.
 
     Parameters
     ----------
-    motion
-        A test.
-    band
-        [Hz] in which the floors' equations are fitted.
+    tests
+        Each with the band [Hz] in which its floors' equations are fitted.
     """
-    floors = range(1, motion.floors + 1)
-    found = [motion.displacement(floor) for floor in floors]
-    displacements = [one for one in found if one is not None]
-    forces = [motion.spectra[name] for name in signals.numbered("f", motion.groups) if name in motion.spectra]
-    if len(displacements) < motion.floors:
-        return ()
-    drifts = [displacements[0], *(one - below for below, one in pairwise(displacements))]
-    rates = [motion.series(1j * motion.omega * drift, (band[0], FASTEST * band[1])) for drift in drifts]
-    signs = [motion.spectrum(np.sign(rate)) for rate in rates]
-    equations = {
-        floor: _equation(motion, motion.spectra[f"a{floor}"], displacements, forces, signs, band)
-        for floor in floors
-        if f"a{floor}" in motion.spectra
-    }
-    masses = _masses(motion, equations, displacements, band) if len(forces) == motion.groups else {}
-    return tuple(_friction(motion, storey, equations, masses, band) for storey in floors if storey in equations)
+    balances = [balance for motion, band in tests if (balance := _Balance.of(motion, band)) is not None]
+    # small forces are lost in their noise: the masses are those of the test that shows them best
+    masses = _masses(max(balances, key=lambda balance: balance.surest)) if balances else {}
+    return [
+        (balance.motion.source, _friction(balance, storey, masses)) for balance in balances for storey in balance.floors
+    ]
 
 
 def _equation(
@@ -154,66 +179,56 @@ def _equation(
     )
 
 
-def _masses(
-    motion: Motion,
-    equations: dict[int, _Floor],
-    displacements: Sequence[NDArray[np.complex128]],
-    band: tuple[float, float],
-) -> dict[int, float]:
-    """Masses [kg] of floors by number: of those that a brace acts on, then of their neighbours."""
+def _masses(balance: _Balance) -> dict[int, float]:
+    """Masses [kg] of floors by number: of the one that a brace acts on most, then of its neighbours."""
+    motion, floors = balance.motion, balance.floors
+    if any(len(one.force) < motion.groups for one in floors.values()):
+        return {}
     masses: dict[int, float] = {}
     for group, count in enumerate(motion.braces):
-        cosine = _cosine(motion, group, displacements, band)
-        for floor, equation in equations.items():
-            share, deviation = abs(equation.force[group]), equation.force_deviation[group]
+        cosine = _cosine(balance, group)
+        for number, floor in floors.items():
+            share, deviation = abs(floor.force[group]), floor.force_deviation[group]
             if cosine and share > LEAST_T * deviation:
-                # a floor has mass; what local modes make of a far brace's force is smaller than the force
-                mass = count * cosine / share
-                masses[floor] = min(mass, masses.get(floor, np.inf))
+                # what local modes make of a far brace's force is smaller than the force
+                masses[number] = min(count * cosine / share, masses.get(number, np.inf))
     if not masses:
         return {}
-    first = min(masses, key=lambda floor: masses[floor])
+    first = min(masses, key=lambda number: masses[number])
     known = {first: masses[first]}
-    for floor in [*range(first + 1, motion.floors + 1), *range(first - 1, 0, -1)]:
-        from_floor = floor - 1 if floor > first else floor + 1
-        if from_floor in known and floor in equations:
-            ratio = equations[from_floor].stiffness[floor - 1] / equations[floor].stiffness[from_floor - 1]
+    for number in [*range(first + 1, motion.floors + 1), *range(first - 1, 0, -1)]:
+        neighbour = number - 1 if number > first else number + 1
+        if neighbour in known and number in floors:
+            ratio = floors[neighbour].stiffness[number - 1] / floors[number].stiffness[neighbour - 1]
             if 0.1 < ratio < 10:
-                known[floor] = known[from_floor] * ratio
+                known[number] = known[neighbour] * ratio
     return known
 
 
-def _cosine(
-    motion: Motion, group: int, displacements: Sequence[NDArray[np.complex128]], band: tuple[float, float]
-) -> float | None:
+def _cosine(balance: _Balance, group: int) -> float | None:
     """Of a group's braces: their stroke over the drift that they span."""
+    motion = balance.motion
     stroke = motion.spectra.get(signals.numbered("xf", motion.groups)[group])
     if stroke is None:
         return None
-    lines = motion.within(band)
-    columns = np.column_stack([*(one[lines] for one in displacements), leakage(motion.omega[lines])])
-    shares = regression(stroke[lines], columns)[0][: len(displacements)]
-    return float(np.abs(shares).max())
+    lines = motion.within(balance.band)
+    columns = np.column_stack([*(one[lines] for one in balance.displacements), leakage(motion.omega[lines])])
+    return float(np.abs(regression(stroke[lines], columns)[0][: motion.floors]).max())
 
 
-def _friction(
-    motion: Motion,
-    storey: int,
-    equations: dict[int, _Floor],
-    masses: dict[int, float],
-    band: tuple[float, float],
-) -> StoreyFriction:
-    own, below = equations[storey], equations.get(storey - 1)
+def _friction(balance: _Balance, storey: int, masses: dict[int, float]) -> StoreyFriction:
+    motion, own, below = balance.motion, balance.floors[storey], balance.floors.get(storey - 1)
     acceleration, deviation = float(-own.sign[storey - 1]), float(own.sign_deviation[storey - 1])
     opposite = float("nan")
     if below is not None:
         opposite = float(below.sign[storey - 1] / below.sign_deviation[storey - 1])
     mass = masses.get(storey, float("nan"))
     # equivalent viscous damping of a storey, c = sqrt(2 / pi) F / rms of the drift's rate, over twice sqrt(k m)
-    above = [floor for floor in range(storey, motion.floors + 1) if f"a{floor}" in motion.spectra]
-    relative = [masses[floor] / mass if floor in masses and storey in masses else 1.0 for floor in above]
+    above = [floor for floor in range(storey, motion.floors + 1) if floor in balance.floors]
     shear = sum(
-        share * motion.series(motion.spectra[f"a{floor}"], band) for share, floor in zip(relative, above, strict=True)
+        (masses[floor] / mass if floor in masses and storey in masses else 1.0)
+        * motion.series(motion.spectra[f"a{floor}"], balance.band)
+        for floor in above
     )
     damping = np.sqrt(2 / np.pi) * acceleration / (2 * float(np.std(shear)))
     return StoreyFriction(storey, acceleration, deviation, opposite, mass * acceleration, float(damping))

@@ -26,6 +26,9 @@ LEAST_LINES = 40
 DAMPING = (0.003, 0.02, 0.1)
 """To start from."""
 
+SAME = 0.02
+"""Greatest relative difference of two frequencies that count as one mode's."""
+
 EXPLAINED, SMOOTH = 0.9, 0.8
 """Least share of a residual that a missing mode explains, and greatest that follows the input without any resonance.
 Friction and backlash leave residuals of which a mode explains less than half."""
@@ -42,17 +45,21 @@ class MissingMode:
     explained, smoothly
         Shares of the residual beyond noise, about that frequency, that it explains, and that a straight line over
         frequency times the inputs explains, which is no mode.
+    known
+        Whether the model has a mode there, and fits it badly.
     """
 
     frequency: float
     damping: float
     explained: float
     smoothly: float
+    known: bool
 
     @property
     def is_one(self) -> bool:
-        """Whether the residual is a mode."""
-        return self.explained > EXPLAINED and self.smoothly < SMOOTH and 1e-4 < self.damping < 0.3
+        """Whether the residual is a mode that the model has not."""
+        explains = self.explained > EXPLAINED and self.smoothly < SMOOTH
+        return explains and not self.known and 1e-4 < self.damping < 0.3
 
 
 def missing_mode(residual: Residual, holds: Sequence[InputHold]) -> MissingMode | None:
@@ -105,4 +112,5 @@ def missing_mode(residual: Residual, holds: Sequence[InputHold]) -> MissingMode 
         min(1.0, (total - left_over) / (total - expected))
         for left_over in (float(found.fun), without([constant, along * constant, excitation, along * excitation]))
     ]
-    return MissingMode(float(frequency), float(damping), shares[0], shares[1])
+    known = bool(np.any(np.abs(residual.modes / frequency - 1) < SAME))
+    return MissingMode(float(frequency), float(damping), shares[0], shares[1], known)

@@ -17,6 +17,8 @@ from abrace_sysid.validity.rig_findings import FALSE_ALARM
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from abrace_sysid.fitting.pole_estimate import PoleInterval
     from abrace_sysid.spectra.holds import InputHold
     from abrace_sysid.spectra.measured_tests import TestData
@@ -146,7 +148,12 @@ def _independence(residual: Residual, depends: Dependence, cause: str, advice: s
 
 
 def disagreeing(
-    check: str, names: tuple[str, str], one: Sequence[PoleInterval], other: Sequence[PoleInterval], cause: str
+    check: str,
+    names: tuple[str, str],
+    one: Sequence[PoleInterval],
+    other: Sequence[PoleInterval],
+    cause: str,
+    building: Sequence[PoleInterval],
 ) -> list[Finding]:
     """A finding on two estimates of the same modes: Wald's test, and how large the difference is.
 
@@ -160,6 +167,8 @@ def disagreeing(
         Pairs.
     cause
         The fault that would explain a difference.
+    building
+        The modes of the building. Another that is nowhere the same is none of the rig's, and costs the model little.
     """
     found = differences(one, other)
     if not found:
@@ -167,7 +176,7 @@ def disagreeing(
     certain = [each for each in found if each.probability * len(found) < FALSE_ALARM]
     worst = max(certain or found, key=_size)
     verdict = _different(worst) if certain else Verdict.TRUST
-    value = abs(worst.damping_change) if certain else 0.0
+    value = max(abs(worst.damping_change), _size(worst) * DIFFERENT_DAMPING[0]) if certain else 0.0
     meaning, advice = f"{names[0]} and {names[1]} agree on {len(found)} modes", ""
     if verdict:
         meaning = (
@@ -176,8 +185,15 @@ def disagreeing(
             f"probability of {worst.probability:.1g}"
         )
         advice = "Use the poles of the test whose amplitude is that of use; the common ones lie between both"
+        if verdict == Verdict.DONT and not _is_one_of(worst.frequency, building):
+            verdict, cause = Verdict.CARE, "a mode too many"
+            advice = "Lower command_order by two: the mode named is none of the rig's"
     where = f"{worst.frequency / (2 * np.pi):.3g} Hz"
     return [_finding(check, where, value, DIFFERENT_DAMPING[0], verdict, cause, meaning, advice)]
+
+
+def _is_one_of(frequency: float, modes: Sequence[PoleInterval]) -> bool:
+    return any(abs(mode.frequency / frequency - 1) < DIFFERENT_FREQUENCY[1] for mode in modes)
 
 
 def _size(one: Difference) -> float:
@@ -201,11 +217,7 @@ def modes_of_both(table: Sequence[PoleInterval], common: Sequence[PoleInterval])
     table, common
         Pairs from the table's tests, and of the model.
     """
-    missing = [
-        pair
-        for pair in table
-        if min(abs(each.frequency / pair.frequency - 1) for each in common) > DIFFERENT_FREQUENCY[1]
-    ]
+    missing = [pair for pair in table if not _is_one_of(pair.frequency, common)]
     return [
         _finding(
             "modes",
@@ -221,7 +233,9 @@ def modes_of_both(table: Sequence[PoleInterval], common: Sequence[PoleInterval])
     ]
 
 
-def repeated(data: TestData, poles: np.ndarray, cause: str) -> list[Finding]:
+def repeated(
+    data: TestData, poles: NDArray[np.complex128], cause: str, building: Sequence[PoleInterval]
+) -> list[Finding]:
     """Findings on repeated tests of one kind, or on the halves of the only one: whether their modes agree.
 
     Parameters
@@ -230,16 +244,15 @@ def repeated(data: TestData, poles: np.ndarray, cause: str) -> list[Finding]:
         The tests.
     poles
         Those of all tests together that these show.
-    cause
-        The fault that would explain a difference.
+    cause, building
+        As of `disagreeing`.
     """
     if data.periodic or data.input != data.together[0]:
         return []
-    pieces = pieces_of(data, poles)
     return [
         finding
-        for (name, one), (other_name, other) in pairwise(pieces)
-        for finding in disagreeing("repeated tests", (f"{data.source}, {name}", other_name), one, other, cause)
+        for (name, one), (other_name, other) in pairwise(pieces_of(data, poles))
+        for finding in disagreeing("repeated tests", (name, other_name), one, other, cause, building)
     ]
 
 

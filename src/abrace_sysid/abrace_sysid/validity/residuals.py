@@ -57,6 +57,8 @@ class Residual:
         (lines, channels) expected power of what sensors' noise leaves.
     sample_period
         Seconds.
+    modes
+        Frequencies of the model's pole pairs [rad/s].
     excited
         Whether the spectra are those of noise, whose phases are random from line to line.
     """
@@ -70,6 +72,7 @@ class Residual:
     left: NDArray[np.complex128]
     noise: NDArray[np.float64]
     sample_period: float
+    modes: NDArray[np.float64]
     excited: bool = True
 
     @property
@@ -153,7 +156,9 @@ def residual_of(run: Run, inputs: tuple[str, ...], model: LinearModel, band: tup
         power = power + passed * noise_level(run.ground_acceleration, run.sample_period, band[1]) ** 2
     left = _without_transient(left, spectra.omega, model, run.sample_period, np.sqrt(power))
     measured, period = spectra.outputs_spectrum, run.sample_period
-    return Residual(run.source, inputs, outputs, spectra.omega, spectra.excitation, measured, left, power, period)
+    return Residual(
+        run.source, inputs, outputs, spectra.omega, spectra.excitation, measured, left, power, period, _modes(model)
+    )
 
 
 def residual_of_response(measured: FrequencyResponse, model: LinearModel, source: str) -> Residual:
@@ -173,7 +178,14 @@ def residual_of_response(measured: FrequencyResponse, model: LinearModel, source
     noise = uniform_filter1d(measured.sigma**2, min(SMOOTHED, len(left)), axis=0, mode="nearest")
     ones, inputs = np.ones((len(left), 1), dtype=np.complex128), (measured.input,)
     period, outputs = measured.sample_period, measured.outputs
-    return Residual(source, inputs, outputs, measured.omega, ones, measured.response, left, noise, period, False)
+    return Residual(
+        source, inputs, outputs, measured.omega, ones, measured.response, left, noise, period, _modes(model), False
+    )
+
+
+def _modes(model: LinearModel) -> NDArray[np.float64]:
+    poles = np.linalg.eigvals(model.a)
+    return np.asarray(np.abs(poles[poles.imag > 0]))
 
 
 def _without_transient(

@@ -44,7 +44,7 @@ def friction(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[Findin
     tests
         Each with the band [Hz] in which its floors' equations are fitted.
     """
-    found = [(motion.source, one) for motion, band in tests for one in storey_frictions(motion, band)]
+    found = storey_frictions(tests)
     limit = normal_limit(len(found))
 
     def certain(one: StoreyFriction) -> bool:
