@@ -73,6 +73,37 @@ def row(text, title, name):
     return next(re.split(r"  +", line) for line in section.splitlines() if line.startswith(name + " "))
 
 
+FINDING = {
+    "check": "friction",
+    "where": "storey 1",
+    "value": 0.004,
+    "limit": 0.0002,
+    "unit": "of critical damping",
+    "verdict": "trust with care",
+    "cause": "friction",
+    "meaning": "friction in storey 1: 51 +- 1 N in table_noise",
+    "advice": "Free the bearings",
+}
+
+
+def test_the_report_says_whether_the_model_can_be_trusted_and_what_to_do(tmp_path):
+    fine = FINDING | {"value": 0.0, "verdict": "trust", "cause": None, "meaning": "no friction", "advice": ""}
+    found = [FINDING, fine, FINDING | {"check": "backlash", "verdict": "trust", "cause": None, "advice": ""}]
+    validity = {"verdict": "trust with care", "causes": ["friction"], "findings": found, "not_checked": {}}
+    results = example() | {"model/validity.json": validity}
+    results["check/comparison.json"]["validity"] = FINDING | {"meaning": "a1 is 9 % off"}
+    text, summary = reported(tmp_path, results)
+    title = "Validity of model: trust with care: friction"
+    assert row(text, title, "friction")[1:] == ["0.004", "0.0002", "trust with care", "storey 1"]
+    section = next(section for section in text.split("\n\n") if section.startswith(title))
+    assert section.endswith("friction in storey 1: 51 +- 1 N in table_noise\nFree the bearings")
+    assert "Validity: trust with care: a1 is 9 % off" in text
+    assert summary["validity"] == {"model": {"verdict": "trust with care", "causes": ["friction"]}}
+    results["model/validity.json"] = validity | {"verdict": "fine"}
+    with pytest.raises(AbraceError, match=r"validity.json: verdict: expected Input should be 'trust'"):
+        reported(tmp_path, results)
+
+
 def test_summary_holds_poles_identified_and_true_with_their_largest_errors(tmp_path):
     results = example()
     _, summary = reported(tmp_path, results)

@@ -12,11 +12,13 @@ from abrace_core.noise import banded_noise
 from abrace_sysid.figures.validity import validity_figure, worst_of_each
 from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.identification import identify
+from abrace_sysid.validation import compare
 from abrace_sysid.validity.finding import Finding, Validity, Verdict
-from abrace_sysid.validity.judgement import judge
+from abrace_sysid.validity.judgement import judge, judge_failure
 from abrace_sysid.validity.kinematics import kinematics
 from abrace_sysid.validity.mechanics import backlashes, storey_frictions
 from abrace_sysid.validity.motion import Motion
+from abrace_sysid.validity.prediction import predicted
 from abrace_sysid.validity.sensor_findings import dead, saturated
 from abrace_sysid.validity_results import write_validity
 
@@ -155,8 +157,31 @@ def test_where_nothing_is_identified_the_reason_and_the_fault_are_named(table_te
     validity = judge([table_test], [cut], OPTIONS, None, str(failed.value)).validity
     assert validity.verdict == Verdict.DONT
     assert "saturation" in validity.causes
-    assert f"nothing was identified: {failed.value}" in validity.text()
+    assert "nothing was identified: command: input U is clipped" in validity.text()
     assert "there is no model" in validity.not_checked["residuals, agreement of tests, lag"]
+
+
+def test_wrong_options_and_tests_in_the_wrong_place_are_no_matter_of_validity(table_test, command_test):
+    swapped = judge_failure([command_test], [table_test], OPTIONS, AbraceError("expected 0"), 0.0)
+    assert swapped is None
+    cut = replace(command_test, command=np.clip(command_test.command, -3000.0, 3000.0))
+    of_clipped = judge_failure([table_test], [cut], OPTIONS, AbraceError("clipped"), 0.0)
+    assert of_clipped is not None
+    assert of_clipped.validity.causes == ("saturation",)
+    not_converged = judge_failure([table_test], [command_test], OPTIONS, AbraceError("no maximum"), 0.75)
+    assert not_converged is not None
+    assert not_converged.validity.verdict == Verdict.DONT
+
+
+def test_a_test_that_was_not_used_is_predicted_or_not(laboratory, rig, identified):
+    quake = laboratory.earthquake(seconds=20)
+    good = predicted(compare(quake, identified.model, None, rig.capacity))
+    assert (good.verdict, good.check) == (Verdict.TRUST, "prediction")
+    wrong = replace(identified.model, c=0.9 * identified.model.c)
+    bad = predicted(compare(quake, wrong, None, rig.capacity))
+    assert bad.verdict == Verdict.CARE
+    assert bad.value == pytest.approx(0.1, abs=0.02)
+    assert "% off beyond its sensor's noise" in bad.meaning
 
 
 def test_files_say_verdict_causes_and_every_check(judged, tmp_path):

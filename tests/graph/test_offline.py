@@ -82,6 +82,10 @@ def test_bags_become_a_model_the_model_a_controller_and_both_are_compared(bags, 
     assert load_model(model / "reduced.json").order == 8
     for name in ("figure_3_force.png", "figure_4_table.png", "figure_5_command.png", "model.mat", "reduced.mat"):
         assert (model / name).stat().st_size > 1000
+    judged = json.loads((model / "validity.json").read_text())
+    assert judged["verdict"] == "trust", ended.stdout
+    assert "validity: trust" in ended.stdout
+    assert (model / "validity.png").stat().st_size > 10_000
     found = json.loads((model / "poles.json").read_text())
     rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
     own = pole_table(rig.model.poles())

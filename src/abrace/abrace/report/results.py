@@ -20,6 +20,7 @@ bag does not say::
                                ...},
      "peak_rms_error": 0.01,
      "clipped": {"measured": {"a2": 14}, "uncontrolled": {}},
+     "validity": {"check": "prediction", "where": "a1", "value": 0.0004, "limit": 0.03, "verdict": "trust", ...},
      "other_models": {"reduced": {"simulated_vs_measured": {...}, "peak_rms_error": 0.03}, ...}}
 
 timing.json, from the campaign; `samples` and `run_seconds` (from the first sample to the last) for tests alone; of
@@ -94,6 +95,20 @@ class Agreement(Checked):
     noise_free_error: NonNegative
 
 
+class ValidityFinding(Checked):
+    """What one check of an identification found."""
+
+    check: str
+    where: str
+    value: float
+    limit: float
+    unit: str
+    verdict: VerdictWords
+    cause: str | None
+    meaning: str
+    advice: str
+
+
 class Prediction(Checked):
     """How near a model's simulation came."""
 
@@ -109,6 +124,7 @@ class Comparison(Prediction):
     simulated: dict[str, Cells]
     uncontrolled: dict[str, Cells] | None
     clipped: dict[str, dict[str, Count] | None] = {}
+    validity: ValidityFinding | None = None
     other_models: dict[str, Prediction]
 
     @pydantic.model_validator(mode="after")
@@ -164,20 +180,6 @@ class AmbientResult(pydantic.BaseModel):
     channels: tuple[str, ...]
     modes: tuple[AmbientMode, ...]
     change: BuildingChange | None = None
-
-
-class ValidityFinding(Checked):
-    """What one check of an identification found."""
-
-    check: str
-    where: str
-    value: float
-    limit: float
-    unit: str
-    verdict: VerdictWords
-    cause: str | None
-    meaning: str
-    advice: str
 
 
 class ValidityResult(Checked):

@@ -179,8 +179,10 @@ def _agreement_table(comparison: Comparison) -> Table:
         rows.append((channel, f"{row.correlation:.4f}", *(f"{error:.4f}" for error in errors)))
     models: dict[str, Prediction] = {"model": comparison, **comparison.other_models}
     means = ", ".join(f"{name} {100 * prediction.peak_rms_error:.1f} %" for name, prediction in models.items())
-    note = f"Mean error of peaks and rms: {means}"
-    return Table("Simulated by the identified models against measured", header, tuple(rows), (note,))
+    notes = [f"Mean error of peaks and rms: {means}"]
+    if comparison.validity is not None:
+        notes.append(f"Validity: {comparison.validity.verdict}: {comparison.validity.meaning}")
+    return Table("Simulated by the identified models against measured", header, tuple(rows), tuple(notes))
 
 
 def _controller_tables(comparisons: Mapping[str, Comparison]) -> list[Table]:

@@ -134,7 +134,8 @@ def _words(validity: Validity) -> tuple[Sequence[str], Sequence[str]]:
     if not validity.verdict:
         return ["Every check is within its limit: the model holds for motions like those of its tests."], []
     unchecked = [f"not checked: {check}: {why}" for check, why in validity.not_checked.items()]
-    return [*(reason.meaning for reason in validity.reasons), *unchecked], validity.advice
+    reasons = [reason.meaning for reason in sorted(validity.reasons, key=lambda reason: not reason.advice)]
+    return [*reasons, *unchecked], validity.advice
 
 
 def _wrapped(sentences: Sequence[str], width: int) -> str:

@@ -23,7 +23,7 @@ from abrace_sysid.models.reduction import errors_by_order, typical_scales
 from abrace_sysid.pole_results import poles_text, write_poles
 from abrace_sysid.spectra.estimation import Method, TransferFunctionOptions
 from abrace_sysid.spectra.welch import Estimator
-from abrace_sysid.validity.judgement import judge
+from abrace_sysid.validity.judgement import judge, judge_failure
 from abrace_sysid.validity_results import write_validity
 
 if TYPE_CHECKING:
@@ -34,9 +34,6 @@ if TYPE_CHECKING:
 DEFAULTS = IdentificationOptions()
 METHOD = DEFAULTS.transfer_function
 TRANSFER_FUNCTION = ("method", "segment", "window", "overlap", "estimator", "order", "half_width")
-
-FITTING = 0.5
-"""Progress from which on tests and options have been accepted: what then fails is what was measured."""
 
 PARAMETERS = [
     Parameter("table", [], "bag, or list of bags, of tests with noise or a multisine on the table", element=str),
@@ -177,8 +174,8 @@ class Identify(AbraceNode):
         try:
             return identify(table, command, options, noted)
         except AbraceError as error:
-            judged = judge(table, command, options, None, str(error))
-            if judged.validity.causes or begun >= FITTING:
+            judged = judge_failure(table, command, options, error, begun)
+            if judged is not None:
                 write_validity(judged, Path(self.parameters.output))
                 print(judged.validity.text(), flush=True)
             raise

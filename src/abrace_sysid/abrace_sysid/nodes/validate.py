@@ -16,6 +16,7 @@ from abrace_core.node import AbraceNode, Parameter, run
 from abrace_core.response import PeakRms, clipped_sentences, in_paper_units, peak_rms
 from abrace_sysid.figures import validation as figures
 from abrace_sysid.validation import Comparison, compare
+from abrace_sysid.validity.prediction import predicted
 
 PARAMETERS = [
     Parameter("bag", "", "bag of the test to compare", required=True),
@@ -56,7 +57,7 @@ class Validate(AbraceNode):
             clipped["uncontrolled"] = uncontrolled.clipped_samples
         print("simulating", flush=True)
         comparison = compare(test, model, law, limit, correction)
-        agreement = _agreement(comparison)
+        agreement, judged = _agreement(comparison), predicted(comparison)
         others = {
             Path(path).stem: compare(test, load_model(path), law, limit, correction) for path in given.other_models
         }
@@ -72,6 +73,7 @@ class Validate(AbraceNode):
             "clipped": clipped,
             "simulated_vs_measured": agreement,
             "peak_rms_error": comparison.peak_rms_error(),
+            "validity": judged.content,
             "other_models": {
                 name: {"simulated_vs_measured": _agreement(other), "peak_rms_error": other.peak_rms_error()}
                 for name, other in others.items()
@@ -92,6 +94,7 @@ class Validate(AbraceNode):
                 error, noise_free = row["normalised_rms_error"], row["noise_free_error"]
                 print(f"{name:8} {row['correlation']:11.4f}  {error:15.4f}  {noise_free:20.4f}")
         print(f"wrote {output}")
+        print(f"validity: {judged.verdict.words}: {judged.meaning}")
 
 
 def _agreement(comparison: Comparison) -> dict[str, dict[str, float]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from abrace_sysid.identification import Identification
     from abrace_sysid.spectra.holds import InputHold
     from abrace_sysid.spectra.measured_tests import TestData
+
+FITTING = 0.5
+"""Progress of an identification from which on its tests and options have been accepted."""
 
 LEAVE_RESIDUALS = ("saturation", "friction", "backlash")
 """Faults that leave a residual which no linear model explains."""
@@ -102,7 +105,41 @@ def judge(
         findings += of_model
     else:
         not_checked["residuals, agreement of tests, lag"] = "there is no model"
+    names = _short_names([run.source for run, _ in kinds])
+
+    def spoken(text: str) -> str:
+        for source, name in names.items():
+            text = text.replace(source, name)
+        return text
+
+    findings = [replace(one, where=spoken(one.where), meaning=spoken(one.meaning)) for one in findings]
+    not_checked = {spoken(check): spoken(why) for check, why in not_checked.items()}
+    residuals = [replace(one, source=spoken(one.source)) for one in residuals]
     return Judgement(Validity(tuple(findings), not_checked), tuple(residuals))
+
+
+def _short_names(sources: Sequence[str]) -> dict[str, str]:
+    """The last parts of paths, where they tell the tests apart; the longest path first."""
+    short = {source: source.rstrip("/").rpartition("/")[2] for source in sorted(set(sources), key=len, reverse=True)}
+    return short if len(set(short.values())) == len(short) else {}
+
+
+def judge_failure(
+    table: Sequence[Run], command: Sequence[Run], options: IdentificationOptions, error: AbraceError, progress: float
+) -> Judgement | None:
+    """What can be said where identification failed; None where tests or options were wrong and nothing was measured so.
+
+    Parameters
+    ----------
+    table, command, options
+        As of `judge`.
+    error
+        Why it failed.
+    progress
+        How far it had come.
+    """
+    judged = judge(table, command, options, None, str(error))
+    return judged if judged.validity.causes or progress >= FITTING else None
 
 
 def _prepared(run: Run, band: tuple[float, float]) -> tuple[Run, tuple[str, ...], Motion]:

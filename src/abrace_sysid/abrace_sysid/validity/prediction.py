@@ -1,0 +1,31 @@
+"""A finding on the prediction of a test that was not used: what no fit can be good at by itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from abrace_sysid.validity.finding import Finding, judged
+
+if TYPE_CHECKING:
+    from abrace_sysid.validation import Comparison
+
+MISSED = (0.03, 0.3)
+"""Rms error without sensor noise over the measured rms, of the worst channel: from the first on care is needed, from
+the second on the model cannot be trusted."""
+
+
+def predicted(comparison: Comparison) -> Finding:
+    """The finding on one test that a model has predicted.
+
+    Parameters
+    ----------
+    comparison
+        Measured and simulated.
+    """
+    errors = {name: error for name, error in comparison.noise_free_error().items() if name[0] != "U"}
+    worst = max(errors, key=lambda name: errors[name])
+    error = errors[worst]
+    verdict = judged(error, *MISSED)
+    meaning = f"the worst predicted channel is {worst}: {100 * error:.2g} % off beyond its sensor's noise"
+    advice = "See validity.png of the identification for what the model does not know" if verdict else ""
+    return Finding("prediction", worst, error, MISSED[0], "", verdict, "", meaning, advice)
