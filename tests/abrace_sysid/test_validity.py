@@ -132,9 +132,30 @@ def test_a_mode_that_the_order_leaves_out_is_named_with_its_frequency(table_test
 
 def test_a_dead_channel_is_named(table_test, command_test):
     still = [changed(run, "a2", lambda values: 0 * values + 0.25) for run in (table_test, command_test)]
-    (found,) = dead(still[0], {"a2": "never changes from 0.25"})
+    (found,) = dead(still[0], ("w",), {"a2": "never changes from 0.25"})
     assert (found.cause, found.verdict) == ("dead channel", Verdict.CARE)
     assert "a2 is dead in bags/table: never changes from 0.25" in found.meaning
+    validity = judge([still[0]], [still[1]], OPTIONS, None, "no").validity
+    assert validity.causes == ("dead channel",)
+    assert {"friction", "backlash"} <= {finding.check for finding in validity.findings}
+    quiet = replace(table_test, ground_acceleration=np.full(len(table_test.outputs), 0.01))
+    (found,) = dead(quiet, ("w",), dict.fromkeys(quiet.names, "noise"))
+    assert found.where == "w, bags/table"
+
+
+def test_what_cannot_be_checked_is_said(table_test, command_test):
+    still = [changed(run, "a2", np.zeros_like) for run in (table_test, command_test)]
+    still = [changed(run, "x2", np.zeros_like) for run in still]
+    short = replace(
+        table_test,
+        source="bags/short",
+        **{
+            name: getattr(table_test, name)[:1000] for name in ("sequence", "outputs", "ground_acceleration", "command")
+        },
+    )
+    validity = judge([still[0], short], [still[1]], OPTIONS, None, "no").validity
+    assert validity.not_checked["friction"] == "too few sensors answer"
+    assert "2 s, expected at least 60 s" in validity.not_checked["sensors of short"]
 
 
 def test_a_saturated_channel_is_named_by_its_samples_and_by_the_flags_of_the_response(table_test):

@@ -76,36 +76,14 @@ def judge(
     if found is None:
         meaning, advice = f"nothing was identified: {failure}", "Mend what is named here, and identify again"
         findings.append(Finding("identification", "", 1.0, 0.0, "", Verdict.DONT, "", meaning, advice))
-    motions: list[tuple[Motion, tuple[float, float]]] = []
-    contradicted = False
-    kinds = [(run, options.table_band) for run in table]
-    kinds += [(run, options.command_band) for run in command if run.source not in {each.source for each in table}]
-    for run, band in kinds:
-        try:
-            whole, inputs, motion = _prepared(run, band)
-        except AbraceError as error:
-            not_checked[f"sensors in {run.source}"] = str(error)
-            continue
-        dead = dead_channels(whole, inputs, band)
-        period = max((find_period(held_input(whole, name)) or 0 for name in inputs), default=0) or None
-        findings += sensor_findings.dead(whole, dead)
-        findings += sensor_findings.saturated(whole, inputs, tuple(dead), period)
-        without = motion.without(dead)
-        of_sensors, kinematics = sensor_findings.contradicting(without, options.table_band)
-        findings += of_sensors
-        contradicted |= bool(kinematics.changes) or any(one.verdict == Verdict.DONT for one in of_sensors)
-        motions.append((without, options.table_band))
-    if contradicted:
-        not_checked["friction, backlash"] = "the sensors contradict each other"
-    else:
-        findings += rig_findings.friction(motions) + rig_findings.backlash(motions)
+    findings += _of_tests(table, command, options, not_checked)
     residuals: list[Residual] = []
     if found is not None:
         of_model, residuals = _of_model(found, options, findings)
         findings += of_model
     else:
         not_checked["residuals, agreement of tests, lag"] = "there is no model"
-    names = _short_names([run.source for run, _ in kinds])
+    names = _short_names([run.source for run in (*table, *command)])
 
     def spoken(text: str) -> str:
         for source, name in names.items():
@@ -142,14 +120,49 @@ def judge_failure(
     return judged if judged.validity.causes or progress >= FITTING else None
 
 
-def _prepared(run: Run, band: tuple[float, float]) -> tuple[Run, tuple[str, ...], Motion]:
-    """The longest whole piece of a test, what was excited in it, and its motion."""
+def _of_tests(
+    table: Sequence[Run], command: Sequence[Run], options: IdentificationOptions, not_checked: dict[str, str]
+) -> list[Finding]:
+    """Findings that need no model; what could not be checked is added to `not_checked`."""
+    findings: list[Finding] = []
+    motions: list[tuple[Motion, tuple[float, float]]] = []
+    shaken, driven = {run.source for run in table}, {run.source for run in command}
+    tests = [(run, options.table_band) for run in table]
+    tests += [(run, options.command_band) for run in command if run.source not in shaken]
+    for run, band in tests:
+        try:
+            whole = _whole(run)
+        except AbraceError as error:
+            not_checked[f"sensors of {run.source}"] = str(error)
+            continue
+        commands = tuple(name for name in whole.command_names if np.any(held_input(whole, name)))
+        inputs = (signals.GROUND, *commands) if run.source in shaken & driven else commands or (signals.GROUND,)
+        dead = dead_channels(whole, inputs, band)
+        period = max((find_period(held_input(whole, name)) or 0 for name in inputs), default=0) or None
+        findings += sensor_findings.dead(whole, inputs, dead)
+        findings += sensor_findings.saturated(whole, inputs, tuple(dead), period)
+        motion = Motion.of(whole, band[1]).without(dead)
+        findings += sensor_findings.contradicting(motion, options.table_band)
+        motions.append((motion, options.table_band))
+    if any(one.verdict == Verdict.DONT and one.check == sensor_findings.AGREE for one in findings):
+        not_checked["friction, backlash"] = "the sensors contradict each other"
+        return findings
+    of_rig = {"friction": rig_findings.friction(motions), "backlash": rig_findings.backlash(motions)}
+    for check, found in of_rig.items():
+        findings += found
+        if not found:
+            not_checked[check] = "too few sensors answer"
+    return findings
+
+
+def _whole(run: Run) -> Run:
+    """The longest whole piece of a test, all of it finite."""
     whole = longest_piece(run)[0]
-    bad = [name for name in (*whole.names, signals.GROUND) if not np.isfinite(whole.channels([name])).all()]
+    names = (*whole.names, signals.GROUND, *whole.command_names)
+    bad = [name for name in names if not np.isfinite(whole.channels([name])).all()]
     if bad:
         raise AbraceError(f"{run.source}: {', '.join(bad)} not finite")
-    inputs = tuple(name for name in whole.command_names if np.any(held_input(whole, name)))
-    return whole, inputs or (signals.GROUND,), Motion.of(whole, band[1])
+    return whole
 
 
 def _of_model(

@@ -22,6 +22,10 @@ QUIET = (1.3, 0.8)
 """Where a record is sensor noise alone: from so often the highest excited frequency to a share of half the rate."""
 
 
+LEAST_NOISE = 1e-7
+"""Of a channel, as a share of its rms: exact readings have rounding alone."""
+
+
 def noise_level(series: NDArray[np.float64], sample_period: float, highest: float) -> float:
     """Standard deviation of white sensor noise, from the median power above what was excited.
 
@@ -39,7 +43,8 @@ def noise_level(series: NDArray[np.float64], sample_period: float, highest: floa
     frequency = fft.rfftfreq(len(series), sample_period)
     half = frequency[-1]
     low = min(QUIET[0] * highest, 0.9 * QUIET[1] * half)
-    return float(np.sqrt(np.median(power[(frequency > low) & (frequency < QUIET[1] * half)]) / np.log(2)))
+    level = np.sqrt(np.median(power[(frequency > low) & (frequency < QUIET[1] * half)]) / np.log(2))
+    return float(max(level, LEAST_NOISE * np.std(series), np.finfo(float).tiny))
 
 
 @dataclass(frozen=True)

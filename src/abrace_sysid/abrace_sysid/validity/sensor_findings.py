@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from abrace_sysid.validity.kinematics import Kinematics
     from abrace_sysid.validity.motion import Motion
 
+AGREE = "sensors agree"
+"""Name of the check that sensors do not contradict each other."""
+
 SATURATED = (0.0, 0.02)
 """Share of a channel's samples at the end of its range: from more than the first on care is needed, from the second on
 nothing can be trusted."""
@@ -25,17 +28,21 @@ LATE = (0.0015, 0.01)
 """Likewise seconds between two sensors of a floor. Filters and transducers of a rig as it is differ by 0.0007 s."""
 
 
-def dead(run: Run, reasons: Mapping[str, str]) -> list[Finding]:
+def dead(run: Run, inputs: Sequence[str], reasons: Mapping[str, str]) -> list[Finding]:
     """A finding for each channel of a test that is no response.
 
     Parameters
     ----------
     run
         The test.
+    inputs
+        What was excited. Where nothing answers to the table's acceleration it is that channel that is dead.
     reasons
         By channel (`recordings.dead_channels`).
     """
     check, advice = "channels that answer", "Look at sensor, cable and channel number, and repeat the test"
+    if len(reasons) == len(run.names) and inputs == (signals.GROUND,):
+        reasons = {signals.GROUND: "no channel answers to it"}
     if not reasons:
         return [Finding(check, run.source, 0.0, 0.0, "channels", Verdict.TRUST, "", "every channel answers", "")]
     return [
@@ -98,8 +105,8 @@ def saturated(run: Run, inputs: Sequence[str], without: Sequence[str], period: i
     ]
 
 
-def contradicting(motion: Motion, band: tuple[float, float]) -> tuple[list[Finding], Kinematics]:
-    """Findings on sensors of one test that contradict each other, and the comparison itself.
+def contradicting(motion: Motion, band: tuple[float, float]) -> list[Finding]:
+    """Findings on sensors of one test that contradict each other.
 
     Parameters
     ----------
@@ -109,7 +116,7 @@ def contradicting(motion: Motion, band: tuple[float, float]) -> tuple[list[Findi
         [Hz] of the building's modes.
     """
     found = kinematics(motion, band)
-    check, source = "sensors agree", motion.source
+    check, source = AGREE, motion.source
     worst = max(found.contradictions.values(), default=0.0)
     findings = [
         Finding(
@@ -141,7 +148,7 @@ def contradicting(motion: Motion, band: tuple[float, float]) -> tuple[list[Findi
     if not findings:
         meaning = "accelerations, displacements, strokes and forces agree"
         findings.append(Finding(check, source, worst, CONTRADICTION, "", Verdict.TRUST, "", meaning, ""))
-    return findings + _late(found, source), found
+    return findings + _late(found, source)
 
 
 def _named(change: Change, source: str) -> tuple[str, str, str]:
