@@ -216,8 +216,16 @@ def pole_table(poles: NDArray[np.complex128]) -> list[tuple[float, float]]:
 
 
 @takes_models
-def save_model(model: LinearModel, path: Path | str) -> None:
-    """Write the model to a JSON file, atomically."""
+def save_model(model: LinearModel, path: Path | str, covariance: NDArray[np.float64] | None = None) -> None:
+    """Write the model to a JSON file, atomically.
+
+    Parameters
+    ----------
+    model, path
+        What is written, and where.
+    covariance
+        Of its parameters (`model_ensemble`), symmetric; None: not known.
+    """
     content = {
         "format": FILE_FORMAT,
         "sample_period": model.sample_period,
@@ -230,6 +238,9 @@ def save_model(model: LinearModel, path: Path | str) -> None:
         "d": model.d.tolist(),
         "provenance": model.provenance,
     }
+    if covariance is not None:
+        # its lower triangle: the other half is the same
+        content["covariance"] = [row[: i + 1] for i, row in enumerate(covariance.tolist())]
     write_text(path, json.dumps(content, indent=1) + "\n")
 
 
@@ -241,14 +252,7 @@ def load_model(path: Path | str) -> LinearModel:
     AbraceError
         If the file is missing, is no JSON, or is not a model file.
     """
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise AbraceError(f"model file {path}: {error.strerror}") from error
-    except ValueError as error:
-        raise AbraceError(f"model file {path}: not JSON ({error})") from error
-    if not isinstance(content, dict) or content.get("format") != FILE_FORMAT:
-        raise AbraceError(f"model file {path}: expected a JSON object with format {FILE_FORMAT!r}")
+    content = _content_of(path)
     try:
         return LinearModel(
             **{key: np.asarray(content[key], dtype=np.float64) for key in "abcd"},
@@ -262,6 +266,38 @@ def load_model(path: Path | str) -> LinearModel:
         raise AbraceError(f"model file {path}: key {error} is missing") from error
     except (TypeError, ValueError, AbraceError) as error:
         raise AbraceError(f"model file {path}: {error}") from error
+
+
+def load_covariance(path: Path | str) -> NDArray[np.float64] | None:
+    """The covariance of the parameters of the model in a file; None: the file has none.
+
+    Raises
+    ------
+    AbraceError
+        As `load_model`, or if it is no triangle of numbers.
+    """
+    rows = _content_of(path).get("covariance")
+    if rows is None:
+        return None
+    try:
+        found = np.zeros((len(rows), len(rows)))
+        for i, row in enumerate(rows):
+            found[i, : i + 1] = found[: i + 1, i] = np.asarray(row, dtype=np.float64).reshape(i + 1)
+    except (TypeError, ValueError) as error:
+        raise AbraceError(f"model file {path}: covariance: expected the rows of a lower triangle ({error})") from error
+    return found
+
+
+def _content_of(path: Path | str) -> dict[str, Any]:
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise AbraceError(f"model file {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise AbraceError(f"model file {path}: not JSON ({error})") from error
+    if not isinstance(content, dict) or content.get("format") != FILE_FORMAT:
+        raise AbraceError(f"model file {path}: expected a JSON object with format {FILE_FORMAT!r}")
+    return content
 
 
 @takes_models

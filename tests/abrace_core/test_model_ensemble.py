@@ -1,0 +1,73 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import LinearModel, load_covariance, load_model, save_model
+from abrace_core.model_ensemble import draw_models
+
+A = np.array([[-0.1, -7.0, 0.0], [7.0, -0.1, 0.0], [0.0, 0.0, -6.0]])
+
+
+@pytest.fixture
+def model() -> LinearModel:
+    """A pair and a real pole: 3 + 6 + 6 + 4 parameters."""
+    c = np.array([[1.0, 0.5, 0.2], [0.3, 0.4, 0.5]])
+    return LinearModel(A, np.arange(6.0).reshape(3, 2), c, np.eye(2), ("w", "U"), ("x1", "a1"))
+
+
+@pytest.fixture
+def covariance() -> np.ndarray:
+    root = np.random.default_rng(0).standard_normal((19, 19)) * np.linspace(0.001, 0.01, 19)[:, None]
+    return root @ root.T
+
+
+def parameters(model: LinearModel) -> np.ndarray:
+    poles = model.a[0, 0], model.a[1, 0], model.a[2, 2]
+    return np.concatenate([poles, model.b.ravel(), model.c.ravel(), model.d.ravel()])
+
+
+def test_models_are_drawn_with_the_covariance_of_the_parameters(model, covariance):
+    drawn = draw_models(model, covariance, 4000, 1)
+    found = np.array([parameters(one) for one in drawn])
+    deviation = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(found.mean(axis=0), parameters(model), atol=0.06 * deviation.max())
+    np.testing.assert_allclose(
+        np.cov(found.T) / np.outer(deviation, deviation), covariance / np.outer(deviation, deviation), atol=0.08
+    )
+    for one in drawn[:5]:
+        assert one.a[0, 0] == one.a[1, 1]
+        assert one.a[0, 1] == -one.a[1, 0], "a pair stays a pair"
+    again = draw_models(model, covariance, 2, 1)
+    np.testing.assert_array_equal(again[1].c, drawn[1].c)
+
+
+def test_an_unstable_draw_is_drawn_anew(model):
+    wide = np.zeros((19, 19))
+    wide[0, 0] = 0.2**2
+    drawn = draw_models(model, wide, 50, 3)
+    assert len(drawn) == 50
+    assert all(one.is_stable() for one in drawn)
+
+
+def test_a_covariance_is_kept_in_the_models_file(model, covariance, tmp_path):
+    path = tmp_path / "model.json"
+    save_model(model, path, covariance)
+    np.testing.assert_array_equal(load_model(path).b, model.b)
+    np.testing.assert_array_equal(load_covariance(path), covariance)
+    save_model(model, path)
+    assert load_covariance(path) is None
+
+
+def test_what_is_no_covariance_of_the_model_is_refused(model, covariance, tmp_path):
+    with pytest.raises(AbraceError, match=r"covariance of a model: shape \(18, 18\), expected \(19, 19\), finite"):
+        draw_models(model, covariance[:18, :18], 1, 0)
+    full = replace(model, a=A + np.array([[0, 0, 1.0], [0, 0, 0], [0, 0, 0]]))
+    with pytest.raises(AbraceError, match="not continuous and in modal form, expected one of identify"):
+        draw_models(full, covariance, 1, 0)
+    path = tmp_path / "model.json"
+    save_model(model, path, covariance)
+    path.write_text(path.read_text().replace('"covariance": [\n  [', '"covariance": [\n  [1.0,'))
+    with pytest.raises(AbraceError, match=r"model\.json: covariance: expected the rows of a lower triangle"):
+        load_covariance(path)
