@@ -24,6 +24,7 @@ from bridge_claims import verify_bridge
 from claims import Claim, claim_table
 from identification_claims import verify_identification
 from interlock_margins import verify_interlocks
+from interval_coverage import verify_coverage
 from measured_structure import verify_measured
 from record_accuracy import verify_records
 from rig_accuracy import verify_rig
@@ -65,6 +66,7 @@ def parts(record: Path | None, measured: Path | None) -> dict[str, Part]:
         "lqg": Part(("lqg",), "the five controllers on the lockstep graph", partial(lqg_accuracy.verify_lqg, record)),
         "as_a_rig": Part((buildings, "as_a_rig"), "the demo on a rig with friction and all else", verify_as_a_rig),
         "validity": Part((buildings, "validity"), "planted faults named, false alarms", verify_validity),
+        "coverage": Part((buildings, "coverage"), "true values within intervals, also with friction", verify_coverage),
         "interlocks": Part(("interlocks",), "margins in the paper's tests, and what trips them", verify_interlocks),
         "bags": Part(("bags",), "killed loggers, power losses, damaged files", verify_bags),
         "bridge": Part(("bridge",), "malformed packets; the demo through emulator and bridge", verify_bridge),

@@ -5,10 +5,14 @@ import pytest
 
 from abrace_core.discretization import discretize
 from abrace_core.linear_model import LinearModel
+from abrace_core.model_ensemble import draw_models
 from abrace_sysid.fitting.maximum_likelihood import fit_poles
 from abrace_sysid.fitting.observation import Observation
 from abrace_sysid.fitting.order_selection import best_order, try_orders
 from abrace_sysid.identification import identify
+from abrace_sysid.measured_data import MeasuredData
+from abrace_sysid.models.modal import modal_model
+from abrace_sysid.spectra.fourier import spectra_of
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 PAIRS = ((8.0, 0.1), (21.0, 0.1))
@@ -90,3 +94,57 @@ def test_the_poles_of_both_tests_answer_to_each_of_them(rig, laboratory_of):
             for pair, before in zip(pairs[1:3], first[1:3], strict=True)
         ]
         assert max(moved) > 0.1, f"another {changed} test moves the poles by {moved} standard deviations"
+
+
+def with_friction(seeds: int, seconds: float = 160.0, period: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
+    """(seeds, samples) noise, and the velocity that it gives an oscillator of 8 rad/s and 4 % with Coulomb friction."""
+    excitation = np.stack([np.random.default_rng(seed).standard_normal(int(seconds / period)) for seed in range(seeds)])
+    displacement, velocity, found, step = np.zeros(seeds), np.zeros(seeds), np.zeros(excitation.shape), period / 20
+    for k in range(excitation.shape[1]):
+        found[:, k] = velocity
+        for _ in range(20):
+            force = excitation[:, k] - 64.0 * displacement - 0.64 * velocity - 0.08 * np.sign(velocity)
+            velocity = velocity + step * force
+            displacement = displacement + step * velocity
+    return excitation, found
+
+
+def test_deviations_hold_what_friction_does_to_the_best_linear_approximation():
+    # by lines alone, as if the distortion of one line knew nothing of the others': damping 1.6, frequency 0.7
+    excitation, velocity = with_friction(seeds=60)
+    found = []
+    for seed, (u, v) in enumerate(zip(excitation, velocity, strict=True)):
+        noisy = v + 1e-4 * np.random.default_rng(1000 + seed).standard_normal(len(v))
+        test = MeasuredData("friction", 0.05, ("U",), ("v",), u[:, None], noisy[:, None], hold="zero")
+        observation = Observation.of_spectra(spectra_of(test, ["U"], (0.3, 4.0)), test.source)
+        (pair,) = fit_poles([observation], np.array([-0.5 + 8.0j])).pairs()
+        found.append((pair.frequency, pair.damping, pair.frequency_deviation, pair.damping_deviation))
+    values, deviations = np.split(np.array(found), 2, axis=1)
+    frequency, damping = np.sqrt(np.mean(((values - values.mean(axis=0)) / deviations) ** 2, axis=0))
+    assert values[:, 1].mean() > 0.05, "friction adds damping"
+    assert damping < 1.4, f"errors of damping are {damping:.2f} standard deviations, rms"
+    assert 0.85 < frequency < 1.3, f"errors of frequency are {frequency:.2f} standard deviations, rms"
+
+
+def test_models_drawn_from_the_joint_covariance_scatter_as_those_of_other_tests_do(plant):
+    poles, omega = plant.poles(), np.linspace(4.0, 30.0, 25)
+    fits = [
+        fit_poles([Observation.of_response(measured(plant, 300, seed), "noisy")], poles[poles.imag > 0], joint=True)
+        for seed in range(50)
+    ]
+    models = [modal_model(fit, {})[0].frequency_response(omega)[:, :, 0] for fit in fits]
+    model, covariance = modal_model(fits[0], {})
+    drawn = [one.frequency_response(omega)[:, :, 0] for one in draw_models(model, covariance, 50, 1)]
+    ratio = np.std(drawn, axis=0) / np.std(models, axis=0)
+    assert 0.9 < np.sqrt(np.mean(ratio**2)) < 1.1, f"drawn models scatter {ratio.mean():.2f} times as much"
+    assert ratio.min() > 0.6, ratio
+    assert ratio.max() < 1.5, ratio
+
+
+def test_the_poles_of_both_tests_are_as_good_as_those_of_the_better_one(rig, laboratory_of):
+    table, command = laboratory_of(rig, 1).table_test(60), laboratory_of(rig, 2).command_test(60)
+    found = identify(table, command)
+    # the noise of the table's accelerometer goes to all channels: eight of them do not count eight times
+    together = found.poles.common_pairs[0]
+    best = min(pairs[0].damping_deviation for pairs in (found.poles.table_pairs, found.poles.command_pairs))
+    assert together.damping_deviation < 1.05 * best, (together.damping_deviation, best)

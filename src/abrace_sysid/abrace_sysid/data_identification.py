@@ -136,7 +136,7 @@ def identify_data(
     poles = search_modes(halves, options.most_modes, found_so_far)
     progress("maximum likelihood", 0.9)
     estimate = fit_with_residual_terms(whole, poles)
-    estimate = fit_with_residual_terms(weighed(whole, estimate), estimate.poles[: len(poles)])
+    estimate = fit_with_residual_terms(weighed([whole], estimate)[0], estimate.poles[: len(poles)])
     provenance = {
         "data": data.source,
         "seconds": data.seconds,
@@ -147,4 +147,4 @@ def identify_data(
         "states": f"{len(poles)} modes by maximum likelihood, and one pair for each input that stands for modes above",
     }
     progress("identified", 1.0)
-    return DataIdentification(data, band, responses, estimate, modal_model(estimate, provenance), warnings)
+    return DataIdentification(data, band, responses, estimate, modal_model(estimate, provenance)[0], warnings)

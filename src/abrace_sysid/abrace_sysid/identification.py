@@ -66,6 +66,8 @@ class Identification:
         Eq. (9): the reduced model and the Hankel singular values of `whole`.
     warnings
         On the bags and on the fit, each sentence once.
+    covariance
+        Of the parameters of `model` (`abrace_core.model_ensemble`); None where the method of the poles gives none.
     """
 
     table: TestData
@@ -76,6 +78,7 @@ class Identification:
     whole: LinearModel
     reduction: Reduction
     warnings: tuple[str, ...]
+    covariance: NDArray[np.float64] | None = None
 
     @property
     def reduced(self) -> LinearModel:
@@ -163,10 +166,13 @@ def identify(
         "method": {"table": from_table.responses[0].method, "command": from_commands[0].responses[0].method},
         "options": asdict(options),
     }
+    covariance = None
     measured, delays = [one for data in tests for one in data.responses], dict.fromkeys(names, options.servo_lag)
     whole = realize_together(measured, poles.of_model, delays)
     if poles.estimate is not None:
-        model = modal_model(poles.estimate, {**provenance, "states": "modes of maximum likelihood, lags among them"})
+        model, covariance = modal_model(
+            poles.estimate, {**provenance, "states": "modes of maximum likelihood, lags among them"}
+        )
     else:
         merged = consistent_model(measured, poles.of_model, delays, options.command_band).model
         model = replace(merged, provenance={**provenance, **merged.provenance})
@@ -181,7 +187,7 @@ def identify(
         misfits += _lags_that_differ(poles.estimate, from_commands, options)
     warnings = tuple(dict.fromkeys([*(sentence for data in tests for sentence in data.warnings), *misfits]))
     reduction = replace(reduction, model=reduced)
-    return Identification(from_table, from_commands, poles, model, superposed, whole, reduction, warnings)
+    return Identification(from_table, from_commands, poles, model, superposed, whole, reduction, warnings, covariance)
 
 
 def _misfits(model: LinearModel, data: TestData) -> tuple[str, ...]:

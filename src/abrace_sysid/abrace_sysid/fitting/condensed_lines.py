@@ -36,10 +36,11 @@ class Slope:
 class CondensedLines:
     """One test: its basis, slopes and channels at every line, stacked real above imaginary, and condensed.
 
-    `columns` are the places of the basis among all coefficients; `basis`, `slopes`, `measured` have 2 lines rows, and
-    `small` is the triangular factor of the three side by side.
+    `observation` is the test; `columns` are the places of the basis among all coefficients; `basis`, `slopes`,
+    `measured` have 2 lines rows, and `small` is the triangular factor of the three side by side.
     """
 
+    observation: Observation
     columns: NDArray[np.int64]
     kinds: tuple[Slope, ...]
     basis: NDArray[np.float64]
@@ -110,7 +111,7 @@ def condensed(observations: Sequence[Observation], inputs: Sequence[str], modes:
         scale = np.linalg.norm(whole, axis=0)
         scale[scale == 0] = 1.0
         small = np.linalg.qr(whole / scale, mode="r") * scale
-        tests.append(CondensedLines(np.array(columns), tuple(kinds), states, changes, measured, small))
+        tests.append(CondensedLines(observation, np.array(columns), tuple(kinds), states, changes, measured, small))
     return tuple(tests)
 
 

@@ -92,7 +92,7 @@ class Likelihood:
         for channel in channels:
             normal += channel.slopes.T @ channel.slopes
             gradient += channel.slopes.T @ channel.residual
-            lines = np.array([len(test.measured) for test in tests])
+            lines = np.array([test.observation.weight * len(test.measured) for test in tests])
             cost += float(lines @ np.log(np.maximum(channel.power, np.finfo(float).tiny)))
         if not np.diag(normal).min() > 0:
             return None
@@ -128,34 +128,6 @@ class Likelihood:
         """Length of a step in standard deviations."""
         return float(np.sqrt(step @ self.normal @ step))
 
-    def covariance(self) -> NDArray[np.float64]:
-        """Of the parameters, from each line's own residuals (White 1980; MacKinnon and White 1985, HC3); 0: fixed."""
-        free = np.ix_(self.free, self.free)
-        unit = 1 / np.sqrt(np.diag(self.normal)[self.free])
-        inverse = np.zeros_like(self.normal)
-        inverse[free] = np.linalg.inv(self.normal[free] * np.outer(unit, unit)) * np.outer(unit, unit)
-        parameters = len(self.gradient)
-        scatter = np.zeros_like(self.normal)
-        for i, test in enumerate(self.tests):
-            lines = len(test.measured) // 2
-            score = np.zeros((2 * lines, parameters))
-            leverage = np.zeros(2 * lines)
-            for c, channel in enumerate(self.channels):
-                own = channel.coefficients[test.columns]
-                slopes = test.slopes @ test.combination(channel.coefficients, parameters)
-                slopes -= test.basis @ channel.projection[test.columns]
-                residual = test.measured[:, c] - test.basis @ own
-                score += slopes * (residual / channel.power[i])[:, None]
-                weighted = test.basis / np.sqrt(channel.power[i])
-                if len(self.tests) > 1 or not c:
-                    inside = linalg.solve_triangular(channel.triangle, np.eye(len(channel.triangle)))[test.columns]
-                    leverage += np.sum((weighted @ inside) ** 2, axis=1)
-            leverage /= len(self.channels) if len(self.tests) > 1 else 1
-            line = (leverage[:lines] + leverage[lines:]) / 2
-            clusters = (score[:lines] + score[lines:]) / (1 - np.minimum(line, 0.9))[:, None]
-            scatter += clusters.T @ clusters
-        return np.asarray(inverse @ scatter @ inverse)
-
 
 def fit_channels(tests: Sequence[CondensedLines], parameters: int) -> tuple[_Channel, ...] | None:
     """Every channel's coefficients in all `tests`, residuals and slopes (with all `parameters`) in units of its noise.
@@ -164,14 +136,15 @@ def fit_channels(tests: Sequence[CondensedLines], parameters: int) -> tuple[_Cha
     """
     total = 1 + max(int(test.columns.max()) for test in tests)
     lines = np.array([len(test.measured) for test in tests])
+    counts = np.sqrt([test.observation.weight for test in tests])
     ends = np.cumsum([len(test.small) for test in tests])[:-1]
-    one = _factor(tests, np.ones(1), total) if len(tests) == 1 else None
+    one = _factor(tests, 1 / counts, total) if len(tests) == 1 else None
     found = []
     for c in range(tests[0].measured.shape[1]):
         small = [test.parts[2][:, c] for test in tests]
         level = np.array([np.linalg.norm(part) for part in small]) / np.sqrt(lines)
         for _ in range(REWEIGHTINGS):
-            relative = level / level[0]
+            relative = level / level[0] / counts
             factor = one if len(tests) == 1 else _factor(tests, relative, total)
             if factor is None:
                 return None
@@ -181,7 +154,7 @@ def fit_channels(tests: Sequence[CondensedLines], parameters: int) -> tuple[_Cha
             left = weighted - q @ projected
             power = np.array([piece @ piece for piece in np.split(left, ends)]) / lines
             level = np.maximum(relative * np.sqrt(power), np.finfo(float).tiny)
-            if np.abs(level / level[0] / relative - 1).max() < SAME_NOISE:
+            if np.abs(level / level[0] / counts / relative - 1).max() < SAME_NOISE:
                 break
         coefficients = linalg.solve_triangular(r, projected) / scale
         slopes = np.vstack(

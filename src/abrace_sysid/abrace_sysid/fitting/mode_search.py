@@ -19,7 +19,7 @@ from abrace_sysid.fitting.maximum_likelihood import ITERATIONS, fit_poles
 from abrace_sysid.fitting.pole_basis import sides_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -56,7 +56,7 @@ TRIAL_ITERATIONS = 30
 NEAR = 0.01
 """Candidates nearer to one that was refused are not tried, as a share of the frequency."""
 
-NEIGHBOURS = 9
+NEIGHBOURS = 17
 """Lines over which the level of the residual is averaged."""
 
 
@@ -153,7 +153,8 @@ def prediction(estimate: PoleEstimate, observation: Observation) -> tuple[float,
         -2 log likelihood, less a constant; (lines, channels) in units of each channel's noise.
     """
     z = observation.z
-    simulated = observation.excitation @ estimate.direct.T
+    named = [estimate.inputs.index(name) for name in observation.inputs]
+    simulated = observation.excitation @ estimate.direct[:, named].T
     transients: list[NDArray[np.complex128]] = []
     for mode, pole in enumerate(estimate.poles):
         sides = sides_of(pole)
@@ -167,7 +168,7 @@ def prediction(estimate: PoleEstimate, observation: Observation) -> tuple[float,
             for side in sides
         ]
         parts = (estimate.shapes[:, mode].real, estimate.shapes[:, mode].imag)
-        for state, part in zip(combined(states, estimate.drive[mode]), parts, strict=False):
+        for state, part in zip(combined(states, estimate.drive[mode, named]), parts, strict=False):
             simulated = simulated + np.outer(state, part)
     for pole in dict.fromkeys(estimate.poles):
         sides = sides_of(pole)
@@ -182,22 +183,31 @@ def prediction(estimate: PoleEstimate, observation: Observation) -> tuple[float,
     return float(len(left) * np.sum(np.log(power))), scaled[: len(z)] + 1j * scaled[len(z) :]
 
 
-def weighed(observation: Observation, estimate: PoleEstimate) -> Observation:
-    """A test whose lines weigh by what a fit leaves over about them, in all channels.
+def weighed(observations: Sequence[Observation], estimate: PoleEstimate) -> list[Observation]:
+    """Tests whose lines weigh by what a fit leaves over about them, in all channels and tests.
 
     At a resonance that is more: noise of the measured inputs goes through the structure, and no peak is quite linear.
 
     Parameters
     ----------
-    observation
-        The test.
+    observations
+        Tests of one kind.
     estimate
-        Fitted to it.
+        Fitted to them.
     """
-    _, residual = prediction(estimate, observation)
-    power = np.mean(np.abs(residual) ** 2, axis=1) * observation.noise_level**2
-    level = np.sqrt(uniform_filter1d(power, NEIGHBOURS))
-    return observation.with_noise(level / np.median(level))
+    powers = []
+    for one in observations:
+        _, residual = prediction(estimate, one)
+        powers.append(np.mean(np.abs(residual) ** 2, axis=1))
+    power, angle = np.concatenate(powers), np.concatenate([np.angle(one.z) for one in observations])
+    order = np.argsort(angle, kind="stable")
+    more = np.empty(len(power))
+    # without the line itself: one that happens to be far off would otherwise weigh less for it
+    more[order] = np.sqrt((NEIGHBOURS * uniform_filter1d(power[order], NEIGHBOURS) - power[order]) / (NEIGHBOURS - 1))
+    ends = np.cumsum([len(one.z) for one in observations])[:-1]
+    parts = np.split(more, ends)
+    levels = [one.noise_level * part for one, part in zip(observations, parts, strict=True)]
+    return [one.with_noise(level / np.median(level)) for one, level in zip(observations, levels, strict=True)]
 
 
 def _strongest(observation: Observation, residual: NDArray[np.complex128], refused: list[complex]) -> complex:

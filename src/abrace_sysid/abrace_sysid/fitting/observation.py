@@ -45,6 +45,9 @@ class Observation:
         Whether the leakage of a finite record is in `measured`.
     poles
         The poles that are excited in this test, as indices into those of all tests; None for all of them.
+    weight
+        How much the test counts beside others: less than 1 where its channels' noise is correlated, since together they
+        tell less than as many independent ones.
     """
 
     source: str
@@ -57,6 +60,7 @@ class Observation:
     samplings: tuple[Sampling, ...]
     transient: bool
     poles: tuple[int, ...] | None = None
+    weight: float = 1.0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.measured).all() and np.isfinite(self.excitation).all()):

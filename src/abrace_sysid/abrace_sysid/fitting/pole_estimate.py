@@ -53,7 +53,8 @@ class PoleEstimate:
     poles
         (poles,) [rad/s]: of each pair the one above the real axis, and real poles, in the order of the start.
     covariance
-        Of the poles' real and imaginary parts, in the order of `poles`; of a real pole the real part alone. [rad^2/s^2]
+        Of the poles' real and imaginary parts, in the order of `poles`; of a real pole the real part alone. Then of how
+        the drives can turn. [rad^2/s^2]
     cost
         -2 log likelihood, less a constant.
     observed
@@ -70,6 +71,11 @@ class PoleEstimate:
         (channels, poles) complex: the outputs are the real part of shapes q, and
     direct
         (channels, inputs) of the inputs themselves.
+    inflation
+        Variance of a pair over what it would be if channels and lines were independent, of the pair with most of it.
+    joint
+        Covariance of all of it together: the poles' parts as in `covariance`, then (parts, inputs) of `drive`,
+        (channels, parts) of `shapes`, real and imaginary parts beside each other, and `direct`; None: not asked for.
     """
 
     poles: NDArray[np.complex128]
@@ -83,6 +89,8 @@ class PoleEstimate:
     drive: NDArray[np.complex128]
     shapes: NDArray[np.complex128]
     direct: NDArray[np.float64]
+    inflation: float = 1.0
+    joint: NDArray[np.float64] | None = None
 
     @property
     def mdl(self) -> float:

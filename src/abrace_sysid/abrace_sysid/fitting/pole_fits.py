@@ -19,8 +19,10 @@ import numpy as np
 from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
+from abrace_sysid.fitting.covariance import LEAST_PIECES
 from abrace_sysid.fitting.curve_fit import fit_rational, fit_sanathanan_koerner, require_stable, uncertainty_weights
 from abrace_sysid.fitting.maximum_likelihood import fit_poles
+from abrace_sysid.fitting.mode_search import weighed
 from abrace_sysid.fitting.observation import Observation
 from abrace_sysid.fitting.order_selection import best_order, try_orders
 from abrace_sysid.fitting.pole_estimate import PoleInterval
@@ -123,7 +125,7 @@ def _maximum_likelihood(
     from_table = _observations([table])
     orders = [(pairs, reals) for pairs in (floors, floors + 1) for reals in (0, 1)]
     trials = try_orders(from_table, table.responses[0], orders)
-    of_table = best_order(trials)
+    from_table, of_table = _with_noise_as_found(from_table, best_order(trials))
     _require_modes(of_table, floors, table.source)
     progress("maximum likelihood, command", 0.6)
     from_command, pairs, groups = _observations(commands), options.command_order // 2, len(commands)
@@ -131,7 +133,7 @@ def _maximum_likelihood(
     trials = try_orders(from_command, measured, [(pairs, 2)], groups)
     if trials[0].estimate is None:  # a servo without a slow pole within the band, or without lag
         trials += try_orders(from_command, measured, [(pairs, 1), (pairs, 0)], groups)
-    of_command = best_order(trials)
+    from_command, of_command = _with_noise_as_found(from_command, best_order(trials))
     _require_modes(of_command, floors, ", ".join(data.source for data in commands))
 
     progress("maximum likelihood, both", 0.75)
@@ -140,7 +142,8 @@ def _maximum_likelihood(
     shown = tuple(int(i) for i in np.flatnonzero((np.abs(poles) <= top) & ~lags))
     # each lag is driven by the command that drives it alone, and not by the table
     driven = np.hstack([np.ones((len(poles), 1), dtype=np.bool_), of_command.drive != 0])
-    of_both = fit_poles([*(replace(one, poles=shown) for one in from_table), *from_command], poles, driven)
+    tests = [*(replace(one, poles=shown) for one in from_table), *from_command]
+    of_both = fit_poles(tests, poles, driven, joint=True)
     reals = _reals(of_both.poles)
     return PoleFit(
         _with_conjugates(_upper(of_table.poles)[:floors]),
@@ -151,6 +154,23 @@ def _maximum_likelihood(
         tuple(of_both.pairs()),
         of_both,
     )
+
+
+def _with_noise_as_found(
+    observations: Sequence[Observation], estimate: PoleEstimate
+) -> tuple[list[Observation], PoleEstimate]:
+    """The tests with their lines weighed by what a fit left over about them, and the fit that they then give.
+
+    At a resonance more is left over: noise of the measured input goes through the structure to all channels alike, and
+    no peak is quite linear. So the channels tell less than as many independent ones, and beside other tests these count
+    for as much less as the variance of their poles is greater. Few multisines have too few lines about a resonance, and
+    keep the levels of noise that their periods gave.
+    """
+    found = list(observations)
+    if observations[0].transient or len(observations) >= LEAST_PIECES:
+        found = weighed(observations, estimate)
+    again = fit_poles(found, estimate.poles, estimate.drive != 0)
+    return [replace(one, weight=1 / again.inflation) for one in found], again
 
 
 def side_by_side(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:

@@ -1,0 +1,188 @@
+"""The covariance of fitted modes, from what they leave over of the tests themselves, in two ways.
+
+By lines    each frequency line is a cluster (White 1980; MacKinnon and White 1985, HC3): right for noise of any
+            spectrum, correlated from channel to channel as that of a measured input is.
+By pieces   nonlinear distortion is made of the same input at all lines, so that lines depend on each other and
+            clusters of lines miss up to three quarters of the variance (Schoukens and Pintelon 2010): damping that
+            depends on the amplitude goes with the envelope of the motion. In time, its effect ends with the memory of
+            the structure. So the scores of a record are taken back to time, and their slow fluctuation is measured by
+            as many cosines as the record has memories (Mueller 2007; Lazarus et al. 2018). A multisine repeats its
+            distortion; there the pieces are its realizations, tests with other phases, four at least.
+
+Deviations are those by lines, except where those by pieces differ by more than chance; of fewer than eight pieces they
+are the larger of both. Those by pieces are widened to what normal intervals of so few need (Student 1908). Correlations
+are those by lines, of which there are enough.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import fft, linalg, stats
+
+from abrace_sysid.fitting.pole_estimate import NORMAL_95
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from abrace_sysid.fitting.likelihood import Likelihood
+
+LEAST_PIECES = 4
+"""Fewest cosines of a record; fewest realizations of a multisine from which a variance is taken."""
+
+ENOUGH_PIECES = 8
+"""From which their variance is trusted where it is less than that by lines."""
+
+CHANCE = 0.05
+"""That the variance by pieces is as high above that by lines, or as far below, where both are right."""
+
+MOST_LEVERAGE = 0.9
+"""Of a line in its own fit that HC3 allows for."""
+
+
+def covariance(likelihood: Likelihood, joint: bool = False) -> NDArray[np.float64]:
+    """Of the parameters of `Modes.parameters`, and if `joint` then of each channel's coefficients; 0: fixed.
+
+    Parameters
+    ----------
+    likelihood
+        At its maximum.
+    joint
+        Whether that of the coefficients is asked for: it grows with the square of the channels.
+    """
+    influence = _influence(likelihood, joint)
+    by_lines, by_pieces = np.zeros_like(influence), np.zeros_like(influence)
+    fewest: float = np.inf
+    for tests in _kinds(likelihood):
+        lines, pieces, freedom = _scatter(likelihood, tests, joint)
+        by_lines += lines
+        by_pieces += pieces
+        fewest = min(fewest, freedom)
+    found = influence @ by_lines @ influence.T
+    if np.isinf(fewest):
+        return np.asarray(found)
+    variance = np.diag(found)
+    ratio = np.sum((influence @ by_pieces) * influence, axis=1) / np.where(variance > 0, variance, np.inf)
+    widening = float(stats.t.ppf(0.975, fewest)) / NORMAL_95
+    low, high = 0.0, 1 / widening**2
+    if fewest >= ENOUGH_PIECES:
+        low, high = (float(stats.chi2.ppf(share, fewest)) / fewest for share in (CHANCE, 1 - CHANCE))
+    factor = np.where((ratio > low) & (ratio < high), 1.0, widening * np.sqrt(ratio))
+    factor[variance == 0] = 1.0
+    return np.asarray(found * np.outer(factor, factor))
+
+
+def _kinds(likelihood: Likelihood) -> list[list[int]]:
+    """The tests: each record with noise alone, multisines on the same inputs together."""
+    records: list[list[int]] = []
+    periodic: dict[tuple[str, ...], list[int]] = {}
+    for i, test in enumerate(likelihood.tests):
+        if test.observation.transient:
+            records.append([i])
+        else:
+            periodic.setdefault(test.observation.inputs, []).append(i)
+    return [*records, *periodic.values()]
+
+
+def _scatter(
+    likelihood: Likelihood, tests: list[int], joint: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Of the scores of tests of one kind: by lines, by pieces, and how many pieces are free; infinite: there are none.
+
+    Where there are too few pieces those by lines stand for them.
+    """
+    whole, by_test = [], []
+    for i in tests:
+        clusters = _scores(likelihood, i, joint, in_time=False)
+        whole.append(clusters.sum(axis=0))
+        clusters /= (1 - np.minimum(_leverage(likelihood, i), MOST_LEVERAGE))[:, None]
+        by_test.append(clusters.T @ clusters)
+    lines = np.sum(by_test, axis=0)
+    if likelihood.tests[tests[0]].observation.transient:
+        count = _memories(likelihood, tests[0])
+        fluctuation = _cosines(len(clusters), count) @ _scores(likelihood, tests[0], joint, in_time=True)
+        return lines, fluctuation.T @ fluctuation / count, count
+    count = len(tests)
+    if count < LEAST_PIECES:
+        return lines, lines, np.inf
+    apart = np.array(whole) - np.mean(whole, axis=0)
+    return lines, apart.T @ apart * (count / (count - 1)), count - 1
+
+
+def _influence(likelihood: Likelihood, joint: bool) -> NDArray[np.float64]:
+    """(parameters, scores) what a score moves: the inverse of the normal matrix, of coefficients too if `joint`."""
+    free = np.ix_(likelihood.free, likelihood.free)
+    unit = 1 / np.sqrt(np.diag(likelihood.normal)[likelihood.free])
+    of_modes = np.zeros_like(likelihood.normal)
+    of_modes[free] = np.linalg.inv(likelihood.normal[free] * np.outer(unit, unit)) * np.outer(unit, unit)
+    if not joint:
+        return of_modes
+    parameters = len(of_modes)
+    sizes = [len(channel.triangle) for channel in likelihood.channels]
+    found = np.zeros((parameters + sum(sizes),) * 2)
+    found[:parameters, :parameters] = of_modes
+    first = parameters
+    for channel, size in zip(likelihood.channels, sizes, strict=True):
+        own = slice(first, first + size)
+        inverse = linalg.solve_triangular(channel.triangle, np.eye(size))
+        found[own, own] = inverse @ inverse.T
+        # coefficients follow the modes: what these move of the channel they take back, as far as they can
+        found[own, :parameters] = -channel.projection @ of_modes
+        first = own.stop
+    return found
+
+
+def _scores(likelihood: Likelihood, test: int, joint: bool, in_time: bool) -> NDArray[np.float64]:
+    """(lines, scores) of one test: derivatives of its log likelihood, line by line or in as many pieces of time."""
+    one, parameters = likelihood.tests[test], len(likelihood.gradient)
+    lines = len(one.measured) // 2
+    own, size = one.columns, len(likelihood.channels[0].triangle)
+    found = np.zeros((lines, parameters + (size * len(likelihood.channels) if joint else 0)))
+    for c, channel in enumerate(likelihood.channels):
+        left = one.measured[:, c] - one.basis @ channel.coefficients[own]
+        residual = _paired(left * (one.observation.weight / channel.power[test]), in_time)
+        slopes = one.slopes @ one.combination(channel.coefficients, parameters) - one.basis @ channel.projection[own]
+        found[:, :parameters] += _product(_paired(slopes, in_time), residual)
+        if joint:
+            found[:, parameters + c * size + own] = _product(_paired(one.basis, in_time), residual)
+    return found * (lines if in_time else 1)
+
+
+def _paired(rows: NDArray[np.float64], in_time: bool) -> NDArray[np.complex128]:
+    """Real parts above imaginary ones as complex lines, or the band's signal in time."""
+    half = len(rows) // 2
+    lines = rows[:half] + 1j * rows[half:]
+    return np.asarray(fft.ifft(lines, axis=0) if in_time else lines)
+
+
+def _product(slopes: NDArray[np.complex128], residual: NDArray[np.complex128]) -> NDArray[np.float64]:
+    return np.asarray((slopes.conj() * residual[:, None]).real)
+
+
+def _leverage(likelihood: Likelihood, test: int) -> NDArray[np.float64]:
+    """(lines,) share of a line's own residual that its fit takes, mean of the channels."""
+    one = likelihood.tests[test]
+    # the channels of one test have the same basis and differ by a factor alone
+    channels = likelihood.channels if len(likelihood.tests) > 1 else likelihood.channels[:1]
+    leverage = np.zeros(len(one.basis))
+    for channel in channels:
+        inside = linalg.solve_triangular(channel.triangle, np.eye(len(channel.triangle)))[one.columns]
+        leverage += np.sum((one.basis @ inside) ** 2, axis=1) * (one.observation.weight / channel.power[test])
+    half = len(leverage) // 2
+    return np.asarray((leverage[:half] + leverage[half:]) / (2 * len(channels)))
+
+
+def _memories(likelihood: Likelihood, test: int) -> int:
+    """How many memories of the structure a record has: its length times the narrowest half-power bandwidth."""
+    observation, modes = likelihood.tests[test].observation, likelihood.modes
+    shown = list(observation.shown(modes.poles))
+    decay = np.abs(modes.poles.real[shown])[(modes.poles.imag[shown] > 0) & ~modes.fixed[shown]]
+    if not len(decay):
+        return LEAST_PIECES
+    return max(LEAST_PIECES, min(round(observation.seconds * float(decay.min()) / np.pi), len(observation.z) // 4))
+
+
+def _cosines(lines: int, count: int) -> NDArray[np.float64]:
+    """(count, lines) cosines of half a wave to `count` half waves within a record, of unit mean square."""
+    return np.sqrt(2) * np.cos(np.pi * np.outer(np.arange(1, count + 1), (np.arange(lines) + 0.5) / lines))
