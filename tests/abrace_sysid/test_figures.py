@@ -21,7 +21,7 @@ def test_transfer_functions_show_measured_and_fitted_with_units(identified):
     figure = figures.transfer_functions(identified.command_response, ["x3", "a1"], identified.model)
     amplitude, phase = figure.axes[0], figure.axes[2]
     expected = {"measured": MEASURED, "fitted": SIMULATED}
-    assert colours(amplitude) == expected
+    assert colours(amplitude) == expected | {"standard deviation": REFERENCE}
     assert amplitude.get_ylabel() == "amplitude [m / N]"
     assert figure.axes[1].get_ylabel() == "amplitude [m/s² / N]"
     assert phase.get_xlabel() == "frequency [Hz]"

@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,8 @@ from abrace_core.multisine import multisine
 from abrace_core.run import Run
 from abrace_plant.rig.motion import RigMotion
 from abrace_plant.rig.sensors import Measurement
+from abrace_sysid.distortion_results import distortion_shares, write_distortion
+from abrace_sysid.spectra import measured_tests
 from abrace_sysid.spectra.estimation import TransferFunctionOptions, frequency_responses
 from abrace_sysid.spectra.periodic_response import find_period, periodic_response
 
@@ -151,6 +154,45 @@ def test_distortion_shows_on_lines_of_its_kind_that_nothing_excites(plain_run, p
     levels = {each: getattr(found, each)[0] for each in ("even_distortion", "odd_distortion")}
     assert levels.pop(kind) > 20 * found.noise[0]
     assert max(levels.values()) < 2 * found.noise[0]
+
+
+def test_odd_distortion_is_what_other_phases_do_to_the_transfer_function(plain_run):
+    responses: dict[float, list[complex]] = {}
+    levels = []
+    for seed in range(8):
+        signal = played("U", periods=3, rest=0, period=4096, seed=seed)
+        noise = np.random.default_rng(seed).normal(0.0, 5.0, len(signal))
+        bent = signal + 300.0 * (signal / 1800.0) ** 3 + noise
+        found = periodic_response(plain_run(bent, command=np.append(0.0, signal[:-1])), "U", BANDS["U"])
+        one = found.frequency_response.select(["x1"])
+        for omega, value in zip(np.round(one.omega, 6), one.response[:, 0], strict=True):
+            responses.setdefault(omega, []).append(value)
+        levels.append(float(np.sqrt(np.mean(one.distortion.odd**2))))
+    scatter = np.sqrt(np.mean([np.var(values, ddof=1) for values in responses.values() if len(values) > 3]))
+    assert np.mean(levels) == pytest.approx(scatter, rel=0.25)
+
+
+def test_shares_of_noise_even_and_odd_distortion_are_told_apart(plain_run, tmp_path):
+    signal = played("U", periods=4, period=4096)
+    noise = np.random.default_rng(4).normal(0.0, 10.0, len(signal))
+    run = plain_run(signal + 300.0 * (signal / 1800.0) ** 3 + noise, command=np.append(0.0, signal[:-1]))
+    response = periodic_response(run, "U", BANDS["U"]).frequency_response
+    data = measured_tests.TestData("U", (run,), (response.select(["x1", "a1"]),), True, (), ("U",))
+    shares = distortion_shares(data)["a1"]
+    assert 0.03 < shares["odd"] < 0.2
+    assert shares["even"] < shares["noise"] < 0.01
+    text = write_distortion([data], tmp_path / "distortion.json")
+    assert text.startswith("distortion of the response to U, most in x1: noise 0.")
+    content = json.loads((tmp_path / "distortion.json").read_text())["U"]
+    assert content["shares"]["a1"] == shares
+    assert len(content["levels"][0]["odd"]["x1"]) == len(response.omega)
+    all_lines = plain_run(np.tile(multisine(4096, 500.0, BANDS["U"], 1800.0, 1, "all"), 4))
+    one = replace(all_lines, command=all_lines.outputs[:, :1])
+    lone = periodic_response(one, "U", BANDS["U"]).frequency_response
+    without = replace(data, runs=(one,), responses=(lone,))
+    assert "odd not measured, even not measured" in write_distortion([without], tmp_path / "all.json")
+    assert write_distortion([replace(data, responses=(replace(response, distortion=None),))], tmp_path / "no") == ""
+    assert not (tmp_path / "no").exists()
 
 
 def test_an_actuator_at_its_limit_shows_as_distortion_well_above_the_noise(rig):

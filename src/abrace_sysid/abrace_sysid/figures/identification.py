@@ -18,6 +18,7 @@ from abrace_sysid.spectra.frequency_response import sampled_response
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from abrace_core.linear_model import LinearModel
@@ -36,7 +37,7 @@ def transfer_functions(
     fitted: LinearModel,
     units: Mapping[str, str] | None = None,
 ) -> Figure:
-    """Amplitude and phase of some channels, measured and fitted: Figs. 3, 4 and 5.
+    """Amplitude and phase of some channels, measured and fitted: Figs. 3, 4 and 5; beside them noise and distortion.
 
     Parameters
     ----------
@@ -63,7 +64,8 @@ def transfer_functions(
             amplitude.semilogy(frequency, np.abs(response[:, j]), label=label, **style)
             phase.plot(frequency, _phase(response[:, j]), **style)
         size = np.abs(points[:, j])
-        amplitude.set_ylim(size.min() / 2, size.max() * 2)
+        lowest = _levels(amplitude, frequency, measured.select([name]))
+        amplitude.set_ylim(min(size.min(), lowest) / 2, size.max() * 2)
         amplitude.set_title(f"{symbol(name)} / {symbol(measured.input)}")
         amplitude.set_ylabel(f"amplitude [{_ratio_unit(name, measured.input, units)}]")
         phase.set_ylabel("phase angle [deg]")
@@ -75,6 +77,23 @@ def transfer_functions(
     for axis in axes.flat:
         axis.grid(alpha=0.3)
     return figure
+
+
+def _levels(axis: Axes, frequency: NDArray[np.float64], one: FrequencyResponse) -> float:
+    """Draw the standard deviation of one channel's response, and its distortion if that is known; the least of them.
+
+    Single lines scatter too much to be read: each curve is the rms over the neighbouring hundredth.
+    """
+    levels = {"standard deviation" if one.distortion is None else "noise": one.sigma}
+    if one.distortion is not None:
+        levels |= {"odd distortion": one.distortion.odd, "even distortion": one.distortion.even}
+    lowest = np.inf
+    for (label, level), style in zip(levels.items(), ("-", "--", ":"), strict=False):
+        smooth = np.sqrt(uniform_filter1d(level[:, 0] ** 2, max(1, len(frequency) // 100)))
+        if np.isfinite(smooth).all() and smooth.any():
+            axis.semilogy(frequency, smooth, color=REFERENCE, lw=1.0, ls=style, label=label)
+            lowest = min(lowest, float(np.quantile(smooth[smooth > 0], 0.05)))
+    return lowest
 
 
 def pole_chart(poles: Mapping[str, NDArray[np.complex128]], reference: Mapping[str, NDArray[np.complex128]]) -> Figure:

@@ -13,6 +13,7 @@ from abrace_core.linear_model import export_mat, save_model
 from abrace_core.node import AbraceNode, Parameter, run
 from abrace_sysid.data_identification import DataOptions, identify_data
 from abrace_sysid.data_results import write_data_results
+from abrace_sysid.distortion_results import write_distortion
 from abrace_sysid.figures import identification as figures
 from abrace_sysid.figures.data import figures_of_data
 from abrace_sysid.fitting.options import FIT_METHODS, IdentificationOptions
@@ -136,7 +137,7 @@ class Identify(AbraceNode):
             self.get_logger().warning(warning)
         output = Path(given.output)
         for name, model in (("model", found.model), ("superposed", found.superposed), ("reduced", found.reduced)):
-            save_model(model, output / f"{name}.json")
+            save_model(model, output / f"{name}.json", found.covariance if model is found.model else None)
             if given.mat:
                 export_mat(model, output / f"{name}.mat")
         pairs = {
@@ -148,6 +149,9 @@ class Identify(AbraceNode):
         for test, values in pairs.items():
             print(f"poles from {'both tests' if test == 'common' else f'the {test} test'} (rad/s, damping ratio):")
             print(poles_text(values))
+        distortion = write_distortion((found.table, *found.commands), output / "distortion.json")
+        if distortion:
+            print(distortion)
         progress("drawing", 1.0)
         self.draw(found, options, output)
         progress("judging", 1.0)

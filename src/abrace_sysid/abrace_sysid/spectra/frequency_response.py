@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from abrace_core.discretization import Hold
     from abrace_core.linear_model import LinearModel
+    from abrace_sysid.spectra.distortion import Distortion
     from abrace_sysid.spectra.holds import InputHold
 
 
@@ -46,6 +47,8 @@ class FrequencyResponse:
         How it was estimated, in words.
     hold
         How the input moves between samples; None: as the rig's of that name does.
+    distortion
+        Levels of nonlinear distortion, from a multisine; None: not known.
     """
 
     input: str
@@ -56,6 +59,7 @@ class FrequencyResponse:
     sample_period: float
     method: str
     hold: InputHold | None = None
+    distortion: Distortion | None = None
 
     @property
     def held(self) -> InputHold:
@@ -65,12 +69,19 @@ class FrequencyResponse:
     def select(self, outputs: Sequence[str]) -> FrequencyResponse:
         """The same estimate with only these outputs, in this order."""
         columns = [self.outputs.index(name) for name in outputs]
-        return replace(self, outputs=tuple(outputs), response=self.response[:, columns], sigma=self.sigma[:, columns])
+        return replace(
+            self,
+            outputs=tuple(outputs),
+            response=self.response[:, columns],
+            sigma=self.sigma[:, columns],
+            distortion=None if self.distortion is None else self.distortion.select(columns),
+        )
 
     def without_hold(self, delay: float = 0.0) -> FrequencyResponse:
         """The response with the hold of its input and a known `delay` [s] taken out."""
         factor = hold_and_delay(self.omega, self.sample_period, HOLDS.get(self.input, "zero"), delay)
-        return replace(self, response=self.response / factor[:, None], sigma=self.sigma / np.abs(factor)[:, None])
+        size = np.abs(factor)[:, None]
+        return replace(self, response=self.response / factor[:, None], sigma=self.sigma / size, distortion=None)
 
 
 def hold_and_delay(

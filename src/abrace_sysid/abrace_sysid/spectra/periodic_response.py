@@ -20,6 +20,7 @@ from scipy import fft, ndimage, signal
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
+from abrace_sysid.spectra.distortion import distortion_beside
 from abrace_sysid.spectra.fourier import held_input
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
@@ -154,8 +155,9 @@ def periodic_response(
         power = np.mean(amplitudes[which, count:] ** 2, axis=0) * np.count_nonzero(excited)
         return np.asarray(np.sqrt(power))
 
+    beside = distortion_beside(lines, np.abs(steady[:, count:]), np.abs(excitation[:, 0]), excited, unexcited)
     return PeriodicResponse(
-        FrequencyResponse(input_name, run.names, omega, response, sigma, run.sample_period, method),
+        FrequencyResponse(input_name, run.names, omega, response, sigma, run.sample_period, method, distortion=beside),
         periods,
         period_samples,
         level(excited, np.abs(steady)),
