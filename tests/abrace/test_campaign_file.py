@@ -82,12 +82,15 @@ def test_behind_a_device_without_the_emulator_nobody_knows_the_rig(tmp_path):
 
 def test_a_design_step_hands_its_limits_and_what_it_accepts_to_the_node(tmp_path):
     path = tmp_path / "campaign.yaml"
-    design = "design: {model: model, weights: lqg3, limits: {gain_margin: 8.0}, accept: [small_disk_margin]}"
+    design = (
+        "design: {model: model, weights: lqg3, limits: {gain_margin: 8.0}, accept: [small_disk_margin], draws: 100}"
+    )
     path.write_text(DEMO.read_text().replace("design: {model: model, weights: lqg3}", design))
     task = next(step.task for step in load_campaign(path).steps if isinstance(step.task, Design))
     defaults = {"phase_margin": 30.0, "delay_margin": 0.004, "disk_margin": 0.3, "damping_kept": 0.8}
-    assert task.refusal == {"gain_margin": 8.0, **defaults, "accept": ["small_disk_margin"]}
-    assert Design(model="model", weights="lqg3").refusal == {"gain_margin": 6.0, **defaults}
+    drawn = {"draws": 100, "draw_seed": 0}
+    assert task.refusal == {"gain_margin": 8.0, **defaults, **drawn, "accept": ["small_disk_margin"]}
+    assert Design(model="model", weights="lqg3").refusal == {"gain_margin": 6.0, **defaults, **drawn, "draws": 30}
 
 
 def test_a_campaign_that_nobody_has_is_named_with_those_that_there_are(capsys):

@@ -22,7 +22,7 @@ from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.loop import closed_loop, is_stable, sampled
 from abrace_lqg.proof.checks import Proof, prove, require
 from abrace_lqg.proof.figures import loop_figure
-from abrace_lqg.proof.files import load_models, save_proof
+from abrace_lqg.proof.files import design_to_file, load_models, save_proof
 from abrace_lqg.proof.limits import OBJECTIONS, WORDING, Limits
 from abrace_lqg.proof.table import table_lines
 from abrace_lqg.weights import Weights, load_weights
@@ -290,6 +290,72 @@ def test_a_loop_that_is_unstable_with_its_own_model_is_not_proven(turned: Linear
 def test_a_check_model_of_another_rig_is_named(rig_model: LinearModel, designed: ControllerDesign):
     with pytest.raises(AbraceError, match=r"proof with model other: .*'a3'"):
         prove(designed, {"rig": rig_model, "other": rig_model.select(["x1", "a1", "a2"])})
+
+
+# models as likely as one
+
+
+def test_a_limit_has_to_be_kept_with_every_model_that_is_as_likely(
+    rig_model: LinearModel, turned: LinearModel, designed: ControllerDesign
+):
+    loud = replace(rig_model, b=rig_model.b * np.array([1.0, 2.0]))
+    found = prove(designed, {"rig": rig_model}, ensembles={"rig": [rig_model, loud]})
+    ensemble = found.models[0].ensemble
+    assert ensemble is not None
+    assert (ensemble.count, ensemble.unstable) == (2, 0)
+    assert ensemble.margins["U"].gain == pytest.approx(margins(loud, designed.controller).gain)
+    assert found.margins.gain == ensemble.margins["U"].gain
+    with pytest.raises(
+        AbraceError, match=r"gain margin 3.* dB at U with one of the 2 models drawn about rig, expected"
+    ):
+        require(found)
+    assert any("the least of 2 models drawn about it: the closed loop is stable" in line for line in table_lines(found))
+    with pytest.raises(AbraceError, match="the closed loop with 1 of the 2 models drawn about rig is not stable"):
+        require(prove(designed, {"rig": rig_model}, ensembles={"rig": [rig_model, turned]}))
+
+
+def test_models_are_drawn_about_those_whose_files_have_a_covariance(tmp_path: Path, rig_model: LinearModel):
+    modal, sizes = in_modal_form(rig_model)
+    uncertain, exact = tmp_path / "uncertain.json", tmp_path / "exact.json"
+    save_model(modal, uncertain, np.diag((0.01 * sizes) ** 2))
+    save_model(rig_model, exact)
+    weights = load_weights(SOURCES / "abrace_lqg/config/lqg3.yaml")
+    given = {"weights": weights, "weights_name": "lqg3", "sample_period": PERIOD, "force_limit": [24516.625]}
+    proof, controller, _ = design_to_file([str(exact), str(uncertain)], tmp_path / "one.yaml", draws=5, **given)
+    assert proof.models[0].ensemble is None
+    drawn = proof.models[1].ensemble
+    assert drawn is not None
+    assert drawn.count == 5
+    assert drawn.margins["U"].gain != proof.models[1].margins["U"].gain
+    assert "the least of 2 models and 5 drawn about them" in controller.margins
+    content = json.loads((tmp_path / "one_proof.json").read_text())
+    assert content["models"][1]["ensemble"]["disk_margin"] == drawn.disk_margin
+    proof, *_ = design_to_file([str(exact), str(uncertain)], tmp_path / "one.yaml", draws=0, **given)
+    assert all(each.ensemble is None for each in proof.models)
+    save_model(rig_model, uncertain, np.eye(3))
+    with pytest.raises(AbraceError, match=r"model file .*uncertain\.json: covariance of a model"):
+        design_to_file([str(exact), str(uncertain)], tmp_path / "one.yaml", draws=5, **given)
+
+
+def in_modal_form(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
+    """The same model in real modal states, and the sizes of its parameters."""
+    values, vectors = np.linalg.eig(model.a)
+    real, columns = np.zeros((model.order, model.order)), []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value.imag > 0:
+            columns += [vector.real, -vector.imag]
+        elif value.imag == 0:
+            columns.append(vector.real)
+    basis = np.array(columns).T
+    real = np.linalg.solve(basis, model.a @ basis)
+    real[np.abs(real) < 1e-6 * np.abs(real).max(axis=1, keepdims=True)] = 0
+    found = replace(model, a=real, b=np.linalg.solve(basis, model.b), c=model.c @ basis, d=model.d)
+    first, poles = 0, []
+    while first < model.order:
+        pair = first + 1 < model.order and real[first, first + 1] != 0
+        poles += [real[first, first], real[first + 1, first]] if pair else [real[first, first]]
+        first += 2 if pair else 1
+    return found, np.abs(np.concatenate([poles, found.b.ravel(), found.c.ravel(), found.d.ravel()]))
 
 
 # several commands, and files

@@ -10,6 +10,7 @@ import pydantic
 
 from abrace_core.config_file import Checked, read_config
 from abrace_core.errors import AbraceError
+from abrace_lqg.proof.files import DRAWS
 from abrace_lqg.proof.limits import Limits, Objection
 
 if TYPE_CHECKING:
@@ -160,18 +161,22 @@ class Identify(Checked):
 class Design(Checked):
     """A controller from a model, with weights that are a name or a file.
 
-    limits: what it has to keep, the defaults where nothing is said; accept: objections in spite of which it is written.
+    limits: what it has to keep, the defaults where nothing is said; accept: objections in spite of which it is written;
+    draws and draw_seed: models as likely as the identified one, with which the limits have to be kept as well.
     """
 
     model: Text
     weights: Text
     limits: Limits = Limits()
     accept: tuple[Objection, ...] = ()
+    draws: Annotated[int, pydantic.Field(ge=0, strict=True)] = DRAWS
+    draw_seed: Annotated[int, pydantic.Field(ge=0, strict=True)] = 0
 
     @property
     def refusal(self) -> dict[str, object]:
-        """Parameters of the node `design`: limits, and the objections that are accepted, if any."""
-        return self.limits.model_dump() | ({"accept": list(self.accept)} if self.accept else {})
+        """Parameters of the node `design`: limits, models drawn, and the objections that are accepted, if any."""
+        drawn = {"draws": self.draws, "draw_seed": self.draw_seed}
+        return self.limits.model_dump() | drawn | ({"accept": list(self.accept)} if self.accept else {})
 
 
 class Ambient(Checked):

@@ -21,6 +21,9 @@ from abrace_lqg.weights import Weights, save_weights
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from abrace_core.linear_model import LinearModel
     from abrace_lqg.exploration.study import Outcome, Study
     from abrace_lqg.proof.checks import Proof
@@ -35,6 +38,7 @@ def save_exploration(
     outcomes: Sequence[Outcome],
     simulation_model: LinearModel,
     made_from: Mapping[str, Any],
+    covariance: NDArray[np.float64] | None = None,
 ) -> None:
     """Write `exploration.json`, `exploration.csv`, `model.json` and `simulation_model.json`.
 
@@ -50,10 +54,12 @@ def save_exploration(
         Continuous, as it was read.
     made_from
         Where the sets come from, any JSON values: files, spans, seed.
+    covariance
+        Of the simulation model's parameters: a set that is picked is proved with models drawn from it.
     """
     folder = Path(folder)
     save_model(study.model, folder / "model.json")
-    save_model(simulation_model, folder / "simulation_model.json")
+    save_model(simulation_model, folder / "simulation_model.json", covariance)
     records = [
         {"name": record.name, "samples": len(record.ground_acceleration), "zero_command": _rows(free)}
         for record, free in zip(study.records, study.zero_command, strict=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_lqg.analysis.prediction import Excitation
-from abrace_lqg.proof.files import design_to_file
+from abrace_lqg.proof.files import DRAWS, design_to_file
 from abrace_lqg.proof.limits import OBJECTIONS, Limits
 from abrace_lqg.proof.table import table_lines
 from abrace_lqg.weights import load_weights
@@ -27,6 +27,8 @@ PARAMETERS = [
     Parameter("force_limit", [24516.625], "N, of one brace of each group", minimum=1.0),
     *(Parameter(name, getattr(Limits(), name), text, minimum=0.0) for name, text in LIMITS.items()),
     Parameter("accept", [], "objections in spite of which the controller is written", choices=OBJECTIONS, element=str),
+    Parameter("draws", DRAWS, "models drawn about each model that has a covariance; 0: none", minimum=0),
+    Parameter("draw_seed", 0, "of these models", minimum=0),
     Parameter(
         "excitation_rms", 0.25, "m/s^2, rms of the ground acceleration for the predicted responses", minimum=1e-9
     ),
@@ -59,6 +61,8 @@ class Design(AbraceNode):
             excitation=Excitation(given.excitation_rms, tuple(given.excitation_band)),
             limits=Limits(**{name: getattr(given, name) for name in LIMITS}),
             accept=given.accept,
+            draws=given.draws,
+            draw_seed=given.draw_seed,
         )
         print("\n".join(table_lines(proof)))
         print(controller.margins)

@@ -11,7 +11,7 @@ import numpy as np
 from abrace_bags import read_run
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import load_model
+from abrace_core.linear_model import load_covariance, load_model
 from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_core.progress import Progress
 from abrace_lqg.exploration.cluster import cluster, explore
@@ -106,7 +106,7 @@ class Explore(AbraceNode):
             "seed": given.seed,
             "peak_acceleration": given.peak_acceleration,
         }
-        save_exploration(output, study, outcomes, simulation_model, made_from)
+        save_exploration(output, study, outcomes, simulation_model, made_from, load_covariance(given.simulation_model))
         print("\n".join(report(outcomes)))
         if any(not outcome.refused for outcome in outcomes):
             save_figure(trade_off(outcomes), output / "trade_off.png")

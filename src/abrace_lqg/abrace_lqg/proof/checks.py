@@ -23,13 +23,40 @@ from abrace_lqg.loop import closed_loop_poles, is_stable
 from abrace_lqg.proof.limits import WORDING, Limits, Objection, shortfall
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Mapping, Sequence
 
     from abrace_core.linear_model import LinearModel
     from abrace_lqg.design import ControllerDesign
 
 LOST_IN_A_ROW = (1, 2)
 """Numbers of consecutive lost samples whose effect is computed."""
+
+
+@dataclass(frozen=True)
+class EnsembleProof:
+    """The least that a controller keeps with any of several models drawn from one model's covariance.
+
+    Parameters
+    ----------
+    count, unstable
+        Models, and those with which the loop is not stable; the rest is about the others.
+    margins
+        By the command at which the loop is broken.
+    disk_margin
+        Radius of the disk of all commands and measured quantities at once.
+    damping_kept, at
+        Least share of its damping that a mode is left with, and its frequency [rad/s].
+    """
+
+    count: int
+    unstable: int
+    margins: dict[str, Margins]
+    disk_margin: float
+    damping_kept: float
+    at: float
+
+    def __str__(self) -> str:
+        return f"{self.count} models drawn about it"
 
 
 @dataclass(frozen=True)
@@ -56,6 +83,8 @@ class ModelProof:
         The model's own pole pairs without and with control.
     lost
         The effect of one and of two lost samples.
+    ensemble
+        The least of models as likely as this one; None: it has no covariance.
     """
 
     name: str
@@ -67,6 +96,7 @@ class ModelProof:
     prediction: dict[str, tuple[float, float]]
     modes: list[ModeEffect]
     lost: list[LostSamples]
+    ensemble: EnsembleProof | None = None
 
 
 @dataclass(frozen=True)
@@ -95,22 +125,31 @@ class Proof:
 
     @property
     def margins(self) -> Margins:
-        """The least margins at the plant's inputs, of all models with which the loop is stable."""
-        return Margins.least([each.margins[name] for each in self.models if each.stable for name in self.commands])
+        """The least margins at the plant's inputs, of all models, drawn ones too, with which the loop is stable."""
+        found = [each.margins for each in self.models if each.stable]
+        found += [each.ensemble.margins for each in self.models if each.ensemble is not None and each.ensemble.margins]
+        return Margins.least([one[name] for one in found for name in self.commands])
 
     @property
     def least_damping_kept(self) -> float:
-        """Least `ModeEffect.damping_kept` of all pole pairs of all models; infinite if there is none."""
-        return min((mode.damping_kept for each in self.models for mode in each.modes), default=np.inf)
+        """Least `ModeEffect.damping_kept` of all pole pairs of all models, drawn ones too; infinite: there is none."""
+        of_modes = [mode.damping_kept for each in self.models for mode in each.modes]
+        drawn = [each.ensemble.damping_kept for each in self.models if each.ensemble is not None]
+        return min([*of_modes, *drawn], default=np.inf)
 
     def objections(self) -> dict[Objection, str]:
         """The reasons against use, by their names in `proof.limits.OBJECTIONS`."""
         found: dict[Objection, str] = {}
         unstable = [f"{each.name} ({each.order} states)" for each in self.models if not each.stable]
+        unstable += [
+            f"{each.ensemble.unstable} of the {each.ensemble.count} models drawn about {each.name}"
+            for each in self.models
+            if each.ensemble is not None and each.ensemble.unstable
+        ]
         if unstable:
             found["unstable_with_check_model"] = f"the closed loop with {', '.join(unstable)} is not stable"
         for limit, asked in self.limits.model_dump().items():
-            value, where = min(self._measured(limit), default=(np.inf, ""))
+            value, where = min([*self._measured(limit), *self._drawn(limit)], default=(np.inf, ""))
             if value < asked:
                 found[WORDING[limit].objection] = shortfall(limit, value, where, asked)
         return found
@@ -133,11 +172,32 @@ class Proof:
             for name in self.commands
         ]
 
+    def _drawn(self, limit: str) -> list[tuple[float, str]]:
+        """The same of the models drawn about each."""
+        found = []
+        for each in self.models:
+            one = each.ensemble
+            if one is None or one.unstable == one.count:
+                continue
+            where = f"with one of the {one.count} models drawn about {each.name}"
+            if limit == "damping_kept":
+                found.append((one.damping_kept, f"by the mode at {one.at:.1f} rad/s {where}"))
+            elif limit == "disk_margin":
+                found.append((one.disk_margin, where))
+            else:
+                quantity = limit.removesuffix("_margin")
+                found += [(getattr(one.margins[name], quantity), f"at {name} {where}") for name in self.commands]
+        return found
+
     def summary(self) -> str:
         """One line for the controller file."""
         models = sum(each.stable for each in self.models)
-        disk = min(each.disk.alpha for each in self.models if each.disk is not None)
-        text = f"{self.margins}, disk margin {disk:.2f}" + (f", the least of {models} models" if models > 1 else "")
+        drawn = [each.ensemble for each in self.models if each.ensemble is not None]
+        disk = [each.disk.alpha for each in self.models if each.disk is not None]
+        text = f"{self.margins}, disk margin {min([*disk, *(one.disk_margin for one in drawn)]):.2f}"
+        if models > 1 or drawn:
+            count = sum(one.count - one.unstable for one in drawn)
+            text += f", the least of {models} models" + (f" and {count} drawn about them" if drawn else "")
         least = self.least_damping_kept
         kept = f"; damping kept by every mode: {least:.0%} or more" if np.isfinite(least) else ""
         reasons = self.objections()
@@ -151,6 +211,7 @@ def prove(
     models: Mapping[str, LinearModel],
     excitation: Excitation | None = None,
     limits: Limits | None = None,
+    ensembles: Mapping[str, Sequence[LinearModel]] | None = None,
 ) -> Proof:
     """Analyse the closed loop of a designed controller with each model.
 
@@ -164,6 +225,8 @@ def prove(
         For which rms values are predicted; None: `Excitation()`.
     limits
         What the controller has to keep; None: `Limits()`.
+    ensembles
+        By the name of a model others that are as likely; the controller has to keep its limits with them too.
 
     Raises
     ------
@@ -175,7 +238,9 @@ def prove(
     proofs = []
     for name, model in models.items():
         try:
-            proofs.append(_prove_with(name, model, design_model, designed, excitation))
+            one = _prove_with(name, model, design_model, designed, excitation)
+            drawn = (ensembles or {}).get(name)
+            proofs.append(replace(one, ensemble=_prove_ensemble(drawn, design_model, designed)) if drawn else one)
         except AbraceError as error:
             raise AbraceError(f"proof with model {name}: {error}") from error
     if not proofs[0].stable:
@@ -226,4 +291,22 @@ def _prove_with(
             for count in LOST_IN_A_ROW
             if stable
         ],
+    )
+
+
+def _prove_ensemble(
+    models: Sequence[LinearModel], design_model: LinearModel, designed: ControllerDesign
+) -> EnsembleProof:
+    controller = designed.controller
+    stable = [model for model in models if is_stable(model, controller)]
+    found = [margins_at(model, controller, controller.outputs) for model in stable]
+    modes = [mode for model in stable for mode in mode_effects(model, controller, design_model)]
+    least = min(modes, key=lambda mode: mode.damping_kept, default=None)
+    return EnsembleProof(
+        count=len(models),
+        unstable=len(models) - len(stable),
+        margins={name: Margins.least([one[name] for one in found]) for name in controller.outputs if found},
+        disk_margin=min((disk_margin(model, controller).alpha for model in stable), default=np.inf),
+        damping_kept=np.inf if least is None else least.damping_kept,
+        at=0.0 if least is None else least.frequency,
     )

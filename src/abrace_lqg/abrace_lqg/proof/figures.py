@@ -16,7 +16,7 @@ from abrace_core.response import paper_unit
 from abrace_lqg.loop import Loop
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
@@ -35,7 +35,12 @@ LINE_STYLES = ("-", "--", ":", "-.")
 
 
 @takes_models
-def loop_figure(proof: Proof, models: Mapping[str, LinearModel], controller: LinearModel) -> Figure:
+def loop_figure(
+    proof: Proof,
+    models: Mapping[str, LinearModel],
+    controller: LinearModel,
+    ensembles: Mapping[str, Sequence[LinearModel]] | None = None,
+) -> Figure:
     """Nichols chart and gain of the loop broken at each command, and the sensitivity at every signal.
 
     Parameters
@@ -46,6 +51,8 @@ def loop_figure(proof: Proof, models: Mapping[str, LinearModel], controller: Lin
         By name, as they were given to `prove`: the design model in colour, the check models grey.
     controller
         Discrete.
+    ensembles
+        Models drawn about some of them: thin lines.
     """
     figure = Figure(figsize=(13.0, 7.0), layout="constrained")
     axes: dict[str, Axes] = figure.subplot_mosaic([["nichols", "gain"], ["nichols", "sensitivity"]])
@@ -60,10 +67,14 @@ def loop_figure(proof: Proof, models: Mapping[str, LinearModel], controller: Lin
             style: dict[str, Any] = {"color": SIMULATED, "lw": 1.4}
             if number:
                 style = {"color": REFERENCE, "lw": 1.0, "ls": LINE_STYLES[number % len(LINE_STYLES)]}
-            decibels = 20 * np.log10(np.maximum(np.abs(response), 1e-10))
+            for drawn in (ensembles or {}).get(name, ()):
+                other = Loop(drawn, controller).transfer_function(command, omega)
+                thin = {"color": style["color"], "lw": 0.3, "alpha": 0.4}
+                nichols.plot(_with_gaps(np.degrees(np.angle(-other)) - 180), _decibels(other), **thin)
+                gain.semilogx(omega / (2 * np.pi), _decibels(other), **thin)
             # the critical point, -180 degrees, in the middle
-            nichols.plot(_with_gaps(np.degrees(np.angle(-response)) - 180), decibels, label=label, **style)
-            gain.semilogx(omega / (2 * np.pi), decibels, **style)
+            nichols.plot(_with_gaps(np.degrees(np.angle(-response)) - 180), _decibels(response), label=label, **style)
+            gain.semilogx(omega / (2 * np.pi), _decibels(response), **style)
         if number == 0:
             size = 20 * np.log10(np.abs(1 - loop.complementary_sensitivity(omega)))
             for column, signal in enumerate(loop.signals):
@@ -178,6 +189,10 @@ def _poles(axis: Axes, each: ModelProof) -> None:
     axis.set_xlabel("frequency [rad/s]")
     axis.set_ylabel("damping ratio [%]")
     axis.grid(which="both", alpha=0.25)
+
+
+def _decibels(response: NDArray[np.complex128]) -> NDArray[np.float64]:
+    return np.asarray(20 * np.log10(np.maximum(np.abs(response), 1e-10)))
 
 
 def _with_gaps(angle: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,7 +13,8 @@ from abrace_core.controller_file import Controller, save_controller
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
-from abrace_core.linear_model import load_model, takes_models
+from abrace_core.linear_model import load_covariance, load_model, takes_models
+from abrace_core.model_ensemble import draw_models
 from abrace_lqg.design import design
 from abrace_lqg.proof.checks import prove, require
 from abrace_lqg.proof.figures import loop_figure, pole_figure, prediction_figure
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 
 FILE_FORMAT = "abrace proof 1"
 
+DRAWS = 30
+"""Models drawn about one whose covariance is known: the worst of them is beyond what 9 of 10 such models would do."""
+
 
 def design_to_file(
     model_files: Sequence[str],
@@ -42,6 +46,8 @@ def design_to_file(
     excitation: Excitation | None = None,
     limits: Limits | None = None,
     accept: Sequence[str] = (),
+    draws: int = DRAWS,
+    draw_seed: int = 0,
 ) -> tuple[Proof, Controller, list[Path]]:
     """Design a controller, prove it, and write it with its proof; nothing is written if the design is refused.
 
@@ -63,6 +69,8 @@ def design_to_file(
         What the controller has to keep; None: `Limits()`.
     accept
         Names of objections in spite of which the controller is written.
+    draws, draw_seed
+        Models drawn about each of the models that has a covariance in its file, and their seed; 0: none.
 
     Returns
     -------
@@ -72,7 +80,8 @@ def design_to_file(
     models = load_models(model_files)
     model = next(iter(models.values()))
     designed = design(model, weights, sample_period)
-    proof = require(prove(designed, models, excitation, limits), accept)
+    ensembles = _ensembles(dict(zip(models, model_files, strict=True)), models, draws, draw_seed)
+    proof = require(prove(designed, models, excitation, limits, ensembles), accept)
     bags = ", ".join(map(str, model.provenance.get("bags", {}).values())) or "unknown bags"
     controller = Controller(
         name=Path(output).stem,
@@ -84,7 +93,7 @@ def design_to_file(
         weights=f"{weights_name}: {weights}",
         margins=proof.summary(),
     )
-    written = save_proof(proof, models, designed.controller, output)
+    written = save_proof(proof, models, designed.controller, output, ensembles)
     save_controller(controller, output, table_lines(proof))
     return proof, controller, [Path(output), *written]
 
@@ -112,7 +121,11 @@ def load_models(paths: Sequence[str]) -> dict[str, LinearModel]:
 
 @takes_models
 def save_proof(
-    proof: Proof, models: Mapping[str, LinearModel], controller: LinearModel, controller_file: Path | str
+    proof: Proof,
+    models: Mapping[str, LinearModel],
+    controller: LinearModel,
+    controller_file: Path | str,
+    ensembles: Mapping[str, Sequence[LinearModel]] | None = None,
 ) -> list[Path]:
     """Write the proof's numbers and figures into the folder of the controller file.
 
@@ -126,6 +139,8 @@ def save_proof(
         Discrete.
     controller_file
         NAME.yaml; written are NAME_proof.json, NAME_loop.png, NAME_poles.png and NAME_prediction.png.
+    ensembles
+        Models drawn about some of them, by name, as they were given to `prove`.
 
     Returns
     -------
@@ -137,7 +152,7 @@ def save_proof(
     write_text(numbers, _proof_json(proof))
     written = [numbers]
     for name, figure in (
-        ("loop", loop_figure(proof, models, controller)),
+        ("loop", loop_figure(proof, models, controller, ensembles)),
         ("poles", pole_figure(proof)),
         ("prediction", prediction_figure(proof)),
     ):
@@ -159,6 +174,21 @@ def finite_or_null(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [finite_or_null(entry) for entry in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _ensembles(
+    files: Mapping[str, str], models: Mapping[str, LinearModel], count: int, seed: int
+) -> dict[str, list[LinearModel]]:
+    """Models drawn about each of those whose file has the covariance of its parameters, by name."""
+    found = {}
+    for name, path in files.items():
+        covariance = load_covariance(path) if count else None
+        if covariance is not None:
+            try:
+                found[name] = draw_models(models[name], covariance, count, seed)
+            except AbraceError as error:
+                raise AbraceError(f"model file {path}: {error}") from error
+    return found
 
 
 def _proof_json(proof: Proof) -> str:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from abrace_lqg.analysis.margins import Margins
     from abrace_lqg.analysis.mode_damping import ModeEffect
-    from abrace_lqg.proof.checks import ModelProof, Proof
+    from abrace_lqg.proof.checks import EnsembleProof, ModelProof, Proof
 
 
 def table_lines(proof: Proof) -> list[str]:
@@ -29,6 +29,8 @@ def _model(one: ModelProof, proof: Proof) -> Iterator[str]:
         for name, margins in one.margins.items():
             yield f"  {name:<14}{_margins(margins)}"
         yield f"  {one.disk}"
+    if one.ensemble is not None:
+        yield from _ensemble(one.ensemble)
     yield "  closed-loop poles [rad/s] (damping ratio):"
     for i in range(0, len(one.poles), 6):
         yield "   " + "".join(f" {frequency:10.2f} ({damping:.3f})" for frequency, damping in one.poles[i : i + 6])
@@ -43,6 +45,17 @@ def _model(one: ModelProof, proof: Proof) -> Iterator[str]:
             yield f"  {name + ' [' + unit(name) + ']':<12}{without:14.4g}{controlled:14.4g} {change}".rstrip()
     for lost in one.lost:
         yield f"  samples: {lost}"
+
+
+def _ensemble(drawn: EnsembleProof) -> Iterator[str]:
+    yield f"  the least of {drawn}: the closed loop is {'NOT STABLE' if drawn.unstable else 'stable'} with" + (
+        f" {drawn.unstable} of them" if drawn.unstable else " all of them"
+    )
+    for name, margins in drawn.margins.items():
+        yield f"  {name:<14}{_margins(margins)}"
+    if drawn.margins:
+        kept = f"; damping kept {drawn.damping_kept:.2f} by the mode at {drawn.at:.1f} rad/s" if drawn.at else ""
+        yield f"  disk margin {drawn.disk_margin:.2f}{kept}"
 
 
 def _margins(margins: Margins) -> str:
