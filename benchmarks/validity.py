@@ -75,6 +75,7 @@ UNITS = (
     ("f", 1e-3),
     ("w", 1 / 9.80665),
 )
+LATE = ("a1", "w", "x2", "a3", "xf", "a2", "x1", "x3")
 CHANNELS = ("a2", "x3", "f", "a1", "xf", "x1", "a3", "x2")
 
 
@@ -156,8 +157,8 @@ def other_unit(tests: Sequence[Run], seed: int) -> list[Run]:
 
 
 def late(tests: Sequence[Run], seed: int) -> list[Run]:
-    """An accelerometer that is 3 ms late."""
-    name = f"a{1 + seed // 2 % tests[0].floors}"
+    """A sensor that is 3 ms late."""
+    name = LATE[seed // 2 % len(LATE)]
     samples = 0.003 / tests[0].sample_period
 
     def readings(values: np.ndarray) -> np.ndarray:
@@ -224,7 +225,7 @@ def verify_validity(
     rows = tuple(
         (
             fault,
-            f"{100 * (named[fault] if NAMES[fault] else 0):.0f}" if NAMES[fault] else "-",
+            f"{100 * named[fault]:.0f}" if NAMES[fault] else "-",
             ", ".join(f"{words} {count}" for words, count in sorted(verdicts[fault].items())),
             ", ".join(f"{cause} {count}" for cause, count in others[fault].most_common()) or "-",
         )

@@ -12,7 +12,6 @@ from abrace_core.errors import AbraceError
 from abrace_sysid.identification import measured_lag
 from abrace_sysid.recordings import dead_channels, longest_piece
 from abrace_sysid.spectra.fourier import held_input
-from abrace_sysid.spectra.holds import hold_of
 from abrace_sysid.spectra.periodic_response import find_period
 from abrace_sysid.validity import model_findings, rig_findings, sensor_findings
 from abrace_sysid.validity.finding import Finding, Validity, Verdict
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from abrace_core.run import Run
     from abrace_sysid.fitting.options import IdentificationOptions
     from abrace_sysid.identification import Identification
-    from abrace_sysid.spectra.holds import InputHold
     from abrace_sysid.spectra.measured_tests import TestData
 
 FITTING = 0.5
@@ -177,9 +175,9 @@ def _of_model(
     for data in tests:
         if data.input != data.together[0] and not data.periodic:
             continue
-        for residual, holds in _residuals(found, data):
+        for residual in _residuals(found, data):
             residuals.append(residual)
-            findings += model_findings.unexplained(residual, nonlinear, holds)
+            findings += model_findings.unexplained(residual, nonlinear)
     poles, estimate = found.poles, found.poles.estimate
     if estimate is None:
         return findings, residuals
@@ -195,21 +193,19 @@ def _of_model(
         # a lag of another servo does nothing here
         driven = estimate.drive[:, estimate.inputs.index(data.input)] != 0
         findings += model_findings.repeated(data, estimate.poles[driven], cause, building)
-        measured = measured_lag(estimate, data.input, options.command_band[1])
-        findings += model_findings.lag(data.input, data.source, measured, options.servo_lag)
+        measured, force = measured_lag(estimate, data.input, options.command_band[1]), data.input.replace("U", "f")
+        if measured is None and force in data.outputs:
+            measured = model_findings.lag_of_response(data.responses[0], force)
+        if measured is not None:
+            findings += model_findings.lag(data.input, data.source, measured, options.servo_lag)
     return findings, residuals
 
 
-def _residuals(found: Identification, data: TestData) -> list[tuple[Residual, tuple[InputHold, ...]]]:
+def _residuals(found: Identification, data: TestData) -> list[Residual]:
     """Of each run of one kind of test."""
     if data.periodic:
-        return [
-            (residual_of_response(response, found.model, run.source), (response.held,))
-            for response, run in zip(data.responses, data.runs, strict=True)
-        ]
+        both = zip(data.responses, data.runs, strict=True)
+        return [residual_of_response(response, found.model, run.source) for response, run in both]
     omega = data.responses[0].omega / (2 * np.pi)
     band = (float(omega[0]), float(omega[-1]))
-    return [
-        (residual_of(run, data.together, found.model, band), tuple(hold_of(run, name) for name in data.together))
-        for run in data.runs
-    ]
+    return [residual_of(run, data.together, found.model, band) for run in data.runs]

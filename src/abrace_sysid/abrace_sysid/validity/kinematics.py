@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core import signals
-from abrace_sysid.validity.regression import leakage
+from abrace_sysid.validity.regression import leakage, regression
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -58,7 +58,10 @@ SERVO = (0.4, 1.6)
 """What a brace's force over its command can be."""
 
 UNKNOWN_UNIT = 0.001
-"""What a factor that is no unit's counts as a contradiction of its own, so that a known unit comes first."""
+"""What a factor that is no unit's counts as a contradiction of its own, so that a usual unit comes first."""
+
+EXCITED = 100.0
+"""Power of the table's motion over that of its sensor's noise, from which on its lag can be told."""
 
 MOST = 3
 """Faults that are looked for in one test."""
@@ -110,13 +113,14 @@ class Kinematics:
     left
         The contradictions that then remain.
     lags
-        Seconds by which the accelerometer of a floor is later than its displacement sensor, by floor.
+        By channel, seconds by which the accelerometer of a floor, or of the table, is later than the displacement
+        sensors.
     """
 
     contradictions: Mapping[str, float]
     changes: tuple[Change, ...]
     left: Mapping[str, float]
-    lags: Mapping[int, float]
+    lags: Mapping[str, float]
 
 
 def kinematics(motion: Motion, band: tuple[float, float]) -> Kinematics:
@@ -136,9 +140,7 @@ def kinematics(motion: Motion, band: tuple[float, float]) -> Kinematics:
     while max(left.values(), default=0.0) > CONTRADICTION and len(changes) < MOST:
         trials = [(change, change.applied(current)) for change in _candidates(current, lines)]
         costs = [
-            sum(contradictions(trial, lines).values())
-            + (UNKNOWN_UNIT if change.kind == "unit" and not change.unit else 0)
-            for change, trial in trials
+            sum(contradictions(trial, lines).values()) + _doubt(change, current, lines) for change, trial in trials
         ]
         best = int(np.argmin(costs)) if costs else 0
         if not costs or costs[best] > (1 - IMPROVEMENT) * sum(left.values()):
@@ -251,6 +253,15 @@ def _candidates(motion: Motion, lines: NDArray[np.int64]) -> Iterator[Change]:
             yield Change("unit", (name,), factor)
 
 
+def _doubt(change: Change, motion: Motion, lines: NDArray[np.int64]) -> float:
+    """What speaks against a unit apart from contradictions: it is no usual one, or not quite the factor measured."""
+    if change.kind != "unit":
+        return 0.0
+    measured = _factor(motion, change.channels[0], lines)
+    away = abs(float(np.log(abs(change.factor / measured)))) if measured else 0.0
+    return UNKNOWN_UNIT * (away if change.unit else 1.0)
+
+
 def _factor(motion: Motion, name: str, lines: NDArray[np.int64]) -> float | None:
     """What the readings of a floor's sensor are too large by, from the floor's other one."""
     if name[0] not in "xa" or name.startswith("xf"):
@@ -267,15 +278,22 @@ def _factor(motion: Motion, name: str, lines: NDArray[np.int64]) -> float | None
     return float(np.real(np.vdot(other, one)) / np.real(np.vdot(other, other)))
 
 
-def _lags(motion: Motion, lines: NDArray[np.int64]) -> dict[int, float]:
-    found = {}
+def _lags(motion: Motion, lines: NDArray[np.int64]) -> dict[str, float]:
+    """By channel: a late reading is (1 - i w lag) times the one in time, to first order."""
+    found: dict[str, float] = {}
+    ground: list[float] = []
     omega = motion.omega[lines]
     for floor in range(1, motion.floors + 1):
         both = _relative(motion, floor, lines)
         if both is not None:
-            one, other, weight = both
-            # a late reading is (1 - i w lag) times the one in time, to first order
-            turned = -1j * omega * other * weight
-            difference = (one - other) * weight
-            found[floor] = float(np.real(np.vdot(turned, difference)) / np.real(np.vdot(turned, turned)))
+            relative, second, _ = both
+            w = motion.spectra[signals.GROUND][lines]
+            columns = [-1j * omega * (relative + w)]
+            if np.mean(np.abs(w) ** 2) > EXCITED * motion.noise[signals.GROUND] ** 2:
+                columns.append(1j * omega * w)
+            lags = regression(relative - second, np.column_stack(columns))[0]
+            found[f"a{floor}"] = float(lags[0])
+            ground += [float(lag) for lag in lags[1:]]
+    if ground:
+        found[signals.GROUND] = float(np.median(ground))
     return found

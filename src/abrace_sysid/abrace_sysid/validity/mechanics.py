@@ -72,18 +72,22 @@ class Backlash:
 
     Parameters
     ----------
-    group
-        1 the first.
+    group, stroke
+        1 the first, and the name of its stroke.
     clearance, deviation
         From side to side, and its standard deviation [m].
     share
         Half of it over the stroke's rms.
+    lag
+        By which the stroke's sensor is later than the floors' [s].
     """
 
     group: int
+    stroke: str
     clearance: float
     deviation: float
     share: float
+    lag: float
 
 
 @dataclass(frozen=True)
@@ -244,7 +248,9 @@ def backlashes(motion: Motion, band: tuple[float, float]) -> tuple[Backlash, ...
     band
         [Hz] in which the strokes' equations are fitted.
     """
-    displacements = [one for floor in range(1, motion.floors + 1) if (one := motion.displacement(floor)) is not None]
+    # a displacement sensor by itself: with an accelerometer that is late it would be late too
+    each = [motion.spectra.get(f"x{floor}", motion.displacement(floor)) for floor in range(1, motion.floors + 1)]
+    displacements = [one for one in each if one is not None]
     lines = motion.within(band)
     omega = motion.omega[lines]
     found = []
@@ -261,5 +267,7 @@ def backlashes(motion: Motion, band: tuple[float, float]) -> tuple[Backlash, ...
         )
         size = float(np.std(motion.series(motion.spectra[stroke], band)))
         clearance, deviation = 2 * float(coefficients[0]), 2 * float(deviations[0])
-        found.append(Backlash(group, clearance, deviation, clearance / 2 / size))
+        own_floor = 1 + int(np.argmax(np.abs(coefficients[1 : 1 + len(displacements)])))
+        lag = -float(coefficients[own_floor + len(linear)] / coefficients[own_floor])
+        found.append(Backlash(group, stroke, clearance, deviation, clearance / 2 / size, lag))
     return tuple(found)

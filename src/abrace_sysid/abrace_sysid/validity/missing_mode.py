@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from abrace_sysid.spectra.holds import InputHold
     from abrace_sysid.validity.residuals import Residual
 
 NEAR = 0.1
@@ -62,15 +61,13 @@ class MissingMode:
         return explains and not self.known and 1e-4 < self.damping < 0.3
 
 
-def missing_mode(residual: Residual, holds: Sequence[InputHold]) -> MissingMode | None:
+def missing_mode(residual: Residual) -> MissingMode | None:
     """The mode that explains most of a residual; None where there is no residual beyond noise.
 
     Parameters
     ----------
     residual
         Of a test with noise.
-    holds
-        How each input moves between samples.
     """
     omega, power, sample_period = residual.omega, residual.ratio.sum(axis=1), residual.sample_period
     smooth = np.convolve(power, np.ones(5) / 5, "same")
@@ -97,7 +94,7 @@ def missing_mode(residual: Residual, holds: Sequence[InputHold]) -> MissingMode 
         pole = frequency * complex(-damping, np.sqrt(1 - damping**2))
         columns = [constant]
         for side in (pole, pole.conjugate()):
-            responses = [Sampling(sample_period, hold).response(side, z)[0] for hold in holds]
+            responses = [Sampling(sample_period, hold).response(side, z)[0] for hold in residual.holds]
             columns += [excitation * np.column_stack(responses), Sampling(sample_period).transient(side, z)[0]]
         return without(columns)
 
@@ -112,5 +109,6 @@ def missing_mode(residual: Residual, holds: Sequence[InputHold]) -> MissingMode 
         min(1.0, (total - left_over) / (total - expected))
         for left_over in (float(found.fun), without([constant, along * constant, excitation, along * excitation]))
     ]
-    known = bool(np.any(np.abs(residual.modes / frequency - 1) < SAME))
+    pairs = np.abs(residual.poles[residual.poles.imag > 0])
+    known = bool(np.any(np.abs(pairs / frequency - 1) < SAME))
     return MissingMode(float(frequency), float(damping), shares[0], shares[1], known)

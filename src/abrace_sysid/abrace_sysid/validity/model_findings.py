@@ -11,7 +11,7 @@ from scipy import stats
 from abrace_sysid.validity.consistency import differences, pieces_of
 from abrace_sysid.validity.finding import Finding, Verdict, judged
 from abrace_sysid.validity.missing_mode import missing_mode
-from abrace_sysid.validity.residuals import dependence
+from abrace_sysid.validity.residuals import by_own_modes, dependence
 from abrace_sysid.validity.rig_findings import FALSE_ALARM
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_sysid.fitting.pole_estimate import PoleInterval
-    from abrace_sysid.spectra.holds import InputHold
+    from abrace_sysid.spectra.frequency_response import FrequencyResponse
     from abrace_sysid.spectra.measured_tests import TestData
     from abrace_sysid.validity.consistency import Difference
     from abrace_sysid.validity.missing_mode import MissingMode
@@ -43,7 +43,7 @@ LAG_DIFFERENCE = (0.5, 0.0005)
 """Difference of a servo's lag from the one given, as a share of it and in seconds, from both of which on it matters."""
 
 
-def unexplained(residual: Residual, nonlinear: Sequence[str], holds: Sequence[InputHold]) -> list[Finding]:
+def unexplained(residual: Residual, nonlinear: Sequence[str]) -> list[Finding]:
     """Findings on what the model leaves over of one test: how much, of what colour, and whether it follows the input.
 
     Parameters
@@ -52,13 +52,11 @@ def unexplained(residual: Residual, nonlinear: Sequence[str], holds: Sequence[In
         Of the test.
     nonlinear
         Faults already found that leave a residual, by name.
-    holds
-        How each input moves between samples.
     """
     depends = dependence(residual) if residual.excited else None
     mode = None
     if residual.excess.max() > NEGLIGIBLE:
-        mode = missing_mode(residual, holds)
+        mode = missing_mode(residual)
     cause, advice = _cause(residual, depends, mode, nonlinear)
     worst = int(np.argmax(residual.excess))
     name, source = residual.outputs[worst], residual.source
@@ -90,7 +88,10 @@ def _cause(
         return "mode missed", "Raise command_order by two, or widen the band, and identify again"
     worst = int(np.argmax(residual.excess))
     excess = max(float(residual.excess[worst]), 1e-12)
-    if depends is not None and (depends.total[worst] / excess) ** 2 > LINEAR:
+    follows = float(by_own_modes(residual)[worst]) if residual.excess[worst] > NEGLIGIBLE else 0.0
+    if depends is not None:
+        follows = max(follows, (depends.total[worst] / excess) ** 2)
+    if follows > LINEAR:
         advice = "The rest is linear dynamics: another order, band or lag may explain it"
         return "unmodelled dynamics", advice
     if nonlinear:
@@ -256,7 +257,24 @@ def repeated(
     ]
 
 
-def lag(command: str, source: str, measured: float | None, given: float) -> list[Finding]:
+def lag_of_response(response: FrequencyResponse, force: str) -> float:
+    """The lag of a servo from the phase of its force over its command in the upper half of the band [s].
+
+    Parameters
+    ----------
+    response
+        From the command, hold included.
+    force
+        The force's name among its outputs.
+    """
+    measured = response.select([force])
+    upper = measured.omega > measured.omega[-1] / 2
+    omega, phase = measured.omega[upper], np.unwrap(np.angle(measured.response[:, 0]))[upper]
+    phase -= 2 * np.pi * np.round(np.median(phase) / (2 * np.pi))
+    return float(-np.sum(omega * phase) / np.sum(omega**2)) - measured.sample_period / 2
+
+
+def lag(command: str, source: str, measured: float, given: float) -> list[Finding]:
     """A finding on a servo's lag.
 
     Parameters
@@ -264,10 +282,8 @@ def lag(command: str, source: str, measured: float | None, given: float) -> list
     command, source
         Its command, and the tests.
     measured, given
-        Seconds; None: the tests show none.
+        Seconds.
     """
-    if measured is None:
-        return []
     difference, limit = abs(measured - given), max(LAG_DIFFERENCE[0] * given, LAG_DIFFERENCE[1])
     verdict = judged(difference, limit)
     meaning = f"{command} acts {1e3 * measured:.2g} ms late in {source}, servo_lag says {1e3 * given:.2g} ms"

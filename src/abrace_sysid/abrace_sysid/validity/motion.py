@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,12 +23,17 @@ QUIET = (1.3, 0.8)
 """Where a record is sensor noise alone: from so often the highest excited frequency to a share of half the rate."""
 
 
+BANDS = 5
+"""In which the noise is looked at."""
+
 LEAST_NOISE = 1e-7
 """Of a channel, as a share of its rms: exact readings have rounding alone."""
 
 
 def noise_level(series: NDArray[np.float64], sample_period: float, highest: float) -> float:
-    """Standard deviation of white sensor noise, from the median power above what was excited.
+    """Standard deviation of sensor noise in the excited band, from the median power in bands above it.
+
+    The greatest of them counts: a filter takes from the higher ones.
 
     Parameters
     ----------
@@ -41,9 +47,9 @@ def noise_level(series: NDArray[np.float64], sample_period: float, highest: floa
     window = np.hanning(len(series))
     power = np.abs(fft.rfft(series * window)) ** 2 / np.sum(window**2)
     frequency = fft.rfftfreq(len(series), sample_period)
-    half = frequency[-1]
-    low = min(QUIET[0] * highest, 0.9 * QUIET[1] * half)
-    level = np.sqrt(np.median(power[(frequency > low) & (frequency < QUIET[1] * half)]) / np.log(2))
+    end = QUIET[1] * frequency[-1]
+    edges = np.searchsorted(frequency, np.geomspace(min(QUIET[0] * highest, 0.9 * end), end, BANDS + 1))
+    level = max(np.sqrt(np.median(power[low:high]) / np.log(2)) for low, high in pairwise(edges) if high > low)
     return float(max(level, LEAST_NOISE * np.std(series), np.finfo(float).tiny))
 
 

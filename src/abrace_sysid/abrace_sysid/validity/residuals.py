@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from abrace_core.linear_model import LinearModel
     from abrace_core.run import Run
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
+    from abrace_sysid.spectra.holds import InputHold
 
 SMOOTHED = 41
 """Lines over which the deviations of a periodic test are averaged."""
@@ -57,8 +58,10 @@ class Residual:
         (lines, channels) expected power of what sensors' noise leaves.
     sample_period
         Seconds.
-    modes
-        Frequencies of the model's pole pairs [rad/s].
+    poles
+        Of the model [rad/s].
+    holds
+        How each input moves between samples.
     excited
         Whether the spectra are those of noise, whose phases are random from line to line.
     """
@@ -72,7 +75,8 @@ class Residual:
     left: NDArray[np.complex128]
     noise: NDArray[np.float64]
     sample_period: float
-    modes: NDArray[np.float64]
+    poles: NDArray[np.complex128]
+    holds: tuple[InputHold, ...]
     excited: bool = True
 
     @property
@@ -155,10 +159,9 @@ def residual_of(run: Run, inputs: tuple[str, ...], model: LinearModel, band: tup
         passed = np.abs(sampled[:, :, inputs.index(signals.GROUND)]) ** 2
         power = power + passed * noise_level(run.ground_acceleration, run.sample_period, band[1]) ** 2
     left = _without_transient(left, spectra.omega, model, run.sample_period, np.sqrt(power))
-    measured, period = spectra.outputs_spectrum, run.sample_period
-    return Residual(
-        run.source, inputs, outputs, spectra.omega, spectra.excitation, measured, left, power, period, _modes(model)
-    )
+    measured, period, poles = spectra.outputs_spectrum, run.sample_period, _poles(model)
+    lines, excitation, holds = spectra.omega, spectra.excitation, spectra.holds
+    return Residual(run.source, inputs, outputs, lines, excitation, measured, left, power, period, poles, holds)
 
 
 def residual_of_response(measured: FrequencyResponse, model: LinearModel, source: str) -> Residual:
@@ -177,15 +180,15 @@ def residual_of_response(measured: FrequencyResponse, model: LinearModel, source
     # a few periods tell little of one line's deviation, and more of its neighbours'
     noise = uniform_filter1d(measured.sigma**2, min(SMOOTHED, len(left)), axis=0, mode="nearest")
     ones, inputs = np.ones((len(left), 1), dtype=np.complex128), (measured.input,)
-    period, outputs = measured.sample_period, measured.outputs
+    period, outputs, poles = measured.sample_period, measured.outputs, _poles(model)
+    response, holds = measured.response, (measured.held,)
     return Residual(
-        source, inputs, outputs, measured.omega, ones, measured.response, left, noise, period, _modes(model), False
+        source, inputs, outputs, measured.omega, ones, response, left, noise, period, poles, holds, excited=False
     )
 
 
-def _modes(model: LinearModel) -> NDArray[np.float64]:
-    poles = np.linalg.eigvals(model.a)
-    return np.asarray(np.abs(poles[poles.imag > 0]))
+def _poles(model: LinearModel) -> NDArray[np.complex128]:
+    return np.linalg.eigvals(model.a).astype(np.complex128)
 
 
 def _without_transient(
@@ -244,3 +247,36 @@ def dependence(residual: Residual) -> Dependence:
     return Dependence(
         residual.omega[starts + half], stats.f.sf(ratio, more, free), np.sqrt(beyond / size), np.asarray(total)
     )
+
+
+def by_own_modes(residual: Residual) -> NDArray[np.float64]:
+    """(channels,) share of a residual beyond noise that vanishes if each input drives each mode as each channel likes.
+
+    A linear rig of which the model has the poles right and shapes, signs or delays wrong; of friction little vanishes.
+
+    Parameters
+    ----------
+    residual
+        Of a test.
+    """
+    omega, period = residual.omega, residual.sample_period
+    z = np.exp(1j * omega * period)
+    columns = []
+    for k, hold in enumerate(residual.holds):
+        sampling, driven = Sampling(period, hold), residual.excitation[:, k]
+        columns += [driven, 1j * omega * driven]
+        for pole in residual.poles:
+            if pole.imag >= 0:
+                columns.append(sampling.response(complex(pole), z)[0] * driven)
+            if pole.imag > 0:
+                columns.append(sampling.response(complex(pole.conjugate()), z)[0] * driven)
+    basis = np.column_stack(columns)
+    shares = []
+    for left, noise in zip(residual.left.T, residual.noise.T, strict=True):
+        weight = 1 / np.sqrt(noise)
+        weighted = basis * weight[:, None]
+        q = np.linalg.qr(weighted / np.linalg.norm(weighted, axis=0))[0]
+        own = left * weight
+        explained = float(np.sum(np.abs(q.conj().T @ own) ** 2)) - q.shape[1]
+        shares.append(explained / max(float(np.sum(np.abs(own) ** 2)) - len(own), 1e-12))
+    return np.clip(shares, 0, 1)

@@ -10,6 +10,7 @@ from scipy import stats
 
 from abrace_sysid.validity.finding import Finding, Verdict, judged
 from abrace_sysid.validity.mechanics import backlashes, storey_frictions
+from abrace_sysid.validity.sensor_findings import late
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -88,7 +89,9 @@ def backlash(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[Findin
     """
     found = [(motion.source, one) for motion, band in tests for one in backlashes(motion, band)]
     limit = normal_limit(len(found))
-    return _findings(
+    of_strokes = [each for source, one in found for each in late(one.stroke, "the floors", one.lag, source)]
+    late_ones = [each for each in of_strokes if each.verdict]
+    return late_ones + _findings(
         "backlash",
         "of the stroke",
         LOOSE_PINS,

@@ -165,27 +165,33 @@ def _named(change: Change, source: str) -> tuple[str, str, str]:
 
 
 def _late(found: Kinematics, source: str) -> list[Finding]:
-    if not found.lags:
+    if not found.lags or found.changes:
         return []
-    check = "sensors in time"
-    late = {floor: lag for floor, lag in found.lags.items() if abs(lag) > LATE[0]}
-    worst = max(abs(lag) for lag in found.lags.values())
-    if not late or found.changes:
-        return [Finding(check, source, worst, LATE[0], "s", Verdict.TRUST, "", "sensors of a floor are in time", "")]
     findings = []
-    for floor, lag in late.items():
-        first, second = (f"a{floor}", f"x{floor}") if lag > 0 else (f"x{floor}", f"a{floor}")
-        findings.append(
-            Finding(
-                check,
-                f"{first}, {source}",
-                abs(lag),
-                LATE[0],
-                "s",
-                judged(abs(lag), *LATE),
-                "lag",
-                f"{first} is {1e3 * abs(lag):.2g} ms later than {second} in {source}",
-                "Give both sensors the same filter, or sample them together",
-            )
-        )
-    return findings
+    for name, lag in found.lags.items():
+        others = "the displacement sensors" if name == signals.GROUND else f"x{name[1:]}"
+        findings += late(name, others, lag, source)
+    late_ones = [one for one in findings if one.verdict]
+    return late_ones or [max(findings, key=lambda one: one.value)]
+
+
+def late(name: str, others: str, lag: float, source: str) -> list[Finding]:
+    """A finding on the time between two sensors.
+
+    Parameters
+    ----------
+    name, others
+        Of the sensors compared.
+    lag
+        By which the first is later [s].
+    source
+        The test.
+    """
+    first, second = (name, others) if lag > 0 else (others, name)
+    verdict, cause, advice = judged(abs(lag), *LATE), "", ""
+    meaning = f"{name} and {others} are in time in {source}"
+    if verdict:
+        cause, advice = "lag", "Give these sensors the same filter, or sample them together"
+        reads = "read" if first.startswith("the") else "reads"
+        meaning = f"{first} {reads} {1e3 * abs(lag):.2g} ms later than {second} in {source}"
+    return [Finding("sensors in time", f"{name}, {source}", abs(lag), LATE[0], "s", verdict, cause, meaning, advice)]
