@@ -11,12 +11,14 @@ from abrace_core.errors import AbraceError
 from abrace_core.noise import banded_noise
 from abrace_sysid.figures.validity import validity_figure, worst_of_each
 from abrace_sysid.fitting.options import IdentificationOptions
+from abrace_sysid.fitting.pole_estimate import PoleInterval
 from abrace_sysid.identification import identify
 from abrace_sysid.validation import compare
 from abrace_sysid.validity.finding import Finding, Validity, Verdict
 from abrace_sysid.validity.judgement import judge, judge_failure
 from abrace_sysid.validity.kinematics import kinematics
 from abrace_sysid.validity.mechanics import backlashes, storey_frictions
+from abrace_sysid.validity.model_findings import disagreeing, lag_of_response
 from abrace_sysid.validity.motion import Motion
 from abrace_sysid.validity.prediction import predicted
 from abrace_sysid.validity.sensor_findings import dead, saturated
@@ -207,6 +209,33 @@ def test_a_test_that_was_not_used_is_predicted_or_not(laboratory, rig, identifie
     assert bad.verdict == Verdict.CARE
     assert bad.value == pytest.approx(0.1, abs=0.02)
     assert "% off beyond its sensor's noise" in bad.meaning
+
+
+def test_two_estimates_agree_within_their_deviations_and_where_the_difference_is_small():
+    building = (PoleInterval(7.0, 0.014, 1e-4, 1e-5), PoleInterval(23.0, 0.024, 1e-3, 1e-5))
+
+    def finding(one, other):
+        (found,) = disagreeing("two tests", ("one", "other"), (one,), (other,), "friction", building)
+        return found.verdict, found.cause
+
+    first, local = building[0], PoleInterval(56.0, 0.01, 1e-3, 1e-5)
+    assert finding(first, replace(first, damping=0.0141)) == (
+        Verdict.TRUST,
+        "",
+    )  # 0.7 %, of which noise makes 7 deviations
+    assert finding(first, replace(first, damping=0.016)) == (Verdict.CARE, "friction")
+    uncertain = replace(first, damping=0.016, damping_deviation=1e-3)
+    assert finding(first, uncertain) == (Verdict.TRUST, "")
+    assert finding(first, replace(first, damping=0.03)) == (Verdict.DONT, "friction")
+    assert finding(local, replace(local, damping=0.03)) == (Verdict.CARE, "a mode too many")
+
+
+def test_the_lag_of_a_servo_too_slow_for_a_pole_is_that_of_its_phase(identified):
+    own = identified.command_response
+    slow = replace(own, response=own.response * np.exp(-1j * own.omega * 0.006)[:, None])
+    lag = lag_of_response(own, "f")
+    assert lag == pytest.approx(0.0008, abs=4e-4)
+    assert lag_of_response(slow, "f") == pytest.approx(lag + 0.006, abs=1e-4)
 
 
 def test_files_say_verdict_causes_and_every_check(judged, tmp_path):

@@ -23,6 +23,13 @@ bag does not say::
      "validity": {"check": "prediction", "where": "a1", "value": 0.0004, "limit": 0.03, "verdict": "trust", ...},
      "other_models": {"reduced": {"simulated_vs_measured": {...}, "peak_rms_error": 0.03}, ...}}
 
+validity.json, from an identify step; `limit` is that beyond which care is needed::
+
+    {"verdict": "trust with care", "causes": ["friction"],
+     "findings": [{"check": "friction", "where": "storey 1", "value": 0.004, "limit": 0.0002, "unit": "",
+                   "verdict": "trust with care", "cause": "friction", "meaning": "...", "advice": "..."}, ...],
+     "not_checked": {}}
+
 timing.json, from the campaign; `samples` and `run_seconds` (from the first sample to the last) for tests alone; of
 tests in real time `lost_samples`, which are not in the bag, and `missed_deadlines`, answers that came too late to act
 from the next sample on::

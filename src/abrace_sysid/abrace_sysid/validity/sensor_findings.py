@@ -83,7 +83,8 @@ def saturated(run: Run, inputs: Sequence[str], without: Sequence[str], period: i
         # each period of a multisine reaches its peak once
         kept = values if period is None else values[middle : middle + period]
         count = 0 if name in without else at_extremes(kept)
-        count += sum(flags.get(flag, 0) for flag in (name, f"{name}a", f"{name}b") if not count)
+        # a group's force is the mean of its load cells, fa, fb, ...
+        count = count or sum(number for flag, number in flags.items() if flag in (name, name + flag[-1]))
         if count:
             found.append((count / len(kept), name, count))
     check = "within the range"
