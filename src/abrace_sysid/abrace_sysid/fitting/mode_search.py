@@ -56,7 +56,7 @@ TRIAL_ITERATIONS = 30
 NEAR = 0.01
 """Candidates nearer to one that was refused are not tried, as a share of the frequency."""
 
-NEIGHBOURS = 17
+NEIGHBOURS = 9
 """Lines over which the level of the residual is averaged."""
 
 
@@ -183,7 +183,9 @@ def prediction(estimate: PoleEstimate, observation: Observation) -> tuple[float,
     return float(len(left) * np.sum(np.log(power))), scaled[: len(z)] + 1j * scaled[len(z) :]
 
 
-def weighed(observations: Sequence[Observation], estimate: PoleEstimate) -> list[Observation]:
+def weighed(
+    observations: Sequence[Observation], estimate: PoleEstimate, neighbours: int = NEIGHBOURS
+) -> list[Observation]:
     """Tests whose lines weigh by what a fit leaves over about them, in all channels and tests.
 
     At a resonance that is more: noise of the measured inputs goes through the structure, and no peak is quite linear.
@@ -194,6 +196,8 @@ def weighed(observations: Sequence[Observation], estimate: PoleEstimate) -> list
         Tests of one kind.
     estimate
         Fitted to them.
+    neighbours
+        Lines over which the level of the residual is averaged.
     """
     powers = []
     for one in observations:
@@ -203,7 +207,8 @@ def weighed(observations: Sequence[Observation], estimate: PoleEstimate) -> list
     order = np.argsort(angle, kind="stable")
     more = np.empty(len(power))
     # without the line itself: one that happens to be far off would otherwise weigh less for it
-    more[order] = np.sqrt((NEIGHBOURS * uniform_filter1d(power[order], NEIGHBOURS) - power[order]) / (NEIGHBOURS - 1))
+    level = neighbours * uniform_filter1d(power[order], neighbours) - power[order]
+    more[order] = np.sqrt(level / (neighbours - 1))
     ends = np.cumsum([len(one.z) for one in observations])[:-1]
     parts = np.split(more, ends)
     levels = [one.noise_level * part for one, part in zip(observations, parts, strict=True)]

@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
     from abrace_sysid.spectra.measured_tests import TestData
 
+NEIGHBOURS = 17
+"""Lines over which the level of what a fit leaves over is averaged: 0.06 Hz of a record of 300 s."""
+
 
 @dataclass(frozen=True)
 class PoleFit:
@@ -168,7 +171,7 @@ def _with_noise_as_found(
     """
     found = list(observations)
     if observations[0].transient or len(observations) >= LEAST_PIECES:
-        found = weighed(observations, estimate)
+        found = weighed(observations, estimate, NEIGHBOURS)
     again = fit_poles(found, estimate.poles, estimate.drive != 0)
     return [replace(one, weight=1 / again.inflation) for one in found], again
 
