@@ -11,9 +11,10 @@ from abrace_core.run import Run
 from abrace_plant.rig.motion import RigMotion
 from abrace_plant.rig.sensors import Measurement
 from abrace_sysid.distortion_results import distortion_shares, write_distortion
+from abrace_sysid.identification import identify
 from abrace_sysid.spectra import measured_tests
 from abrace_sysid.spectra.estimation import TransferFunctionOptions, frequency_responses
-from abrace_sysid.spectra.periodic_response import find_period, periodic_response
+from abrace_sysid.spectra.periodic_response import find_period, periodic_response, same_realization
 
 PERIOD = 16384
 BANDS = {"w": (0.3, 10.0), "U": (0.3, 30.0)}
@@ -193,6 +194,23 @@ def test_shares_of_noise_even_and_odd_distortion_are_told_apart(plain_run, tmp_p
     assert "odd not measured, even not measured" in write_distortion([without], tmp_path / "all.json")
     assert write_distortion([replace(data, responses=(replace(response, distortion=None),))], tmp_path / "no") == ""
     assert not (tmp_path / "no").exists()
+
+
+def test_the_same_phases_in_two_tests_are_found_and_others_are_not():
+    rng = np.random.default_rng(0)
+    one, later = played("U", rest=1000), played("U", periods=4, rest=3000)
+    assert same_realization(one, 2 * later + rng.normal(0, 100, len(later)))
+    assert not same_realization(one, played("U", seed=2))
+
+
+def test_tests_that_repeat_a_realization_are_named(laboratory_of, rig):
+    table = laboratory_of(rig, 3).table_test(60)
+    first = laboratory_of(rig, 1).multisine_test(False, True, 3)
+    again = replace(laboratory_of(rig, 1).multisine_test(False, True, 4), source="bags/again")
+    other = replace(laboratory_of(rig, 2).multisine_test(False, True, 3), source="bags/other")
+    expected = "bags/multisine and bags/again: the same multisine of U; expected a seed of its own for each"
+    assert any(warning.startswith(expected) for warning in identify(table, [first, again]).warnings)
+    assert not identify(table, [first, other]).warnings
 
 
 def test_an_actuator_at_its_limit_shows_as_distortion_well_above_the_noise(rig):

@@ -10,6 +10,7 @@ reduced model       the consistent one balanced and cut (Eq. 9): for design
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from abrace_sysid.recordings import prepare, require_at_rest
 from abrace_sysid.spectra.estimation import frequency_responses
 from abrace_sysid.spectra.fourier import held_input
 from abrace_sysid.spectra.measured_tests import TestData
-from abrace_sysid.spectra.periodic_response import find_period, periodic_response
+from abrace_sysid.spectra.periodic_response import find_period, periodic_response, same_realization
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -307,10 +308,22 @@ def _test_data(
         responses = [(one,) for one in frequency_responses(prepared, names, band, options.transfer_function)]
     outputs = [output for output in runs[0].names if all(output in recording.outputs for recording in recordings)]
     warnings = tuple(warning for recording in recordings for warning in recording.warnings)
+    if all(periodic):
+        warnings += _repeated_realizations(prepared, names)
     return tuple(
         TestData(name, prepared, tuple(one.select(outputs) for one in of_input), all(periodic), warnings, names)
         for name, of_input in zip(names, responses, strict=True)
     )
+
+
+def _repeated_realizations(runs: Sequence[Run], names: Sequence[str]) -> tuple[str, ...]:
+    """A sentence if multisines of several tests have the same phases."""
+    for name in names:
+        for one, other in combinations(runs, 2):
+            if same_realization(held_input(one, name), held_input(other, name)):
+                advice = "expected a seed of its own for each, or nonlinear distortion does not show in the intervals"
+                return (f"{one.source} and {other.source}: the same multisine of {name}; {advice}",)
+    return ()
 
 
 def _check_options(options: IdentificationOptions) -> None:

@@ -44,6 +44,9 @@ ALIKE = 0.05
 LEAST_CORRELATION = 0.4
 """Least correlation of an input with itself a period later; two periods between long rests have 0.5."""
 
+SAME = 0.8
+"""Least correlation of two tests' inputs that are the same realization; of other phases it is near 0.1."""
+
 LEAST_AMPLITUDE = 0.01
 """Share of an input's strongest line below which a line counts as not excited."""
 
@@ -184,6 +187,21 @@ def find_period(excitation: NDArray[np.float64]) -> int | None:
         return None
     lag = int(negative[0] + np.argmax(correlation[negative[0] :]))
     return lag if _repeats(excitation, lag) else None
+
+
+def same_realization(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Whether two tests' inputs are the same signal, begun at any time and of any level.
+
+    Parameters
+    ----------
+    one, other
+        (samples,) each.
+    """
+    length = fft.next_fast_len(len(one) + len(other), real=True)
+    correlation = fft.irfft(fft.rfft(one, length) * fft.rfft(other, length).conj(), length)
+    size = np.sqrt((one @ one) * (other @ other))
+    shorter, longer = sorted((len(one), len(other)))
+    return bool(np.abs(correlation).max() > SAME * size * np.sqrt(shorter / longer))
 
 
 def _whole_periods(
