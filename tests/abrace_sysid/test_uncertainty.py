@@ -11,7 +11,7 @@ from abrace_sysid.fitting.observation import Observation
 from abrace_sysid.fitting.order_selection import best_order, try_orders
 from abrace_sysid.identification import identify
 from abrace_sysid.measured_data import MeasuredData
-from abrace_sysid.models.modal import modal_model
+from abrace_sysid.models.modal import modal_covariance, modal_model
 from abrace_sysid.spectra.fourier import spectra_of
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
@@ -132,9 +132,9 @@ def test_models_drawn_from_the_joint_covariance_scatter_as_those_of_other_tests_
         fit_poles([Observation.of_response(measured(plant, 300, seed), "noisy")], poles[poles.imag > 0], joint=True)
         for seed in range(50)
     ]
-    models = [modal_model(fit, {})[0].frequency_response(omega)[:, :, 0] for fit in fits]
-    model, covariance = modal_model(fits[0], {})
-    drawn = [one.frequency_response(omega)[:, :, 0] for one in draw_models(model, covariance, 50, 1)]
+    models = [modal_model(fit, {}).frequency_response(omega)[:, :, 0] for fit in fits]
+    drawn_models = draw_models(modal_model(fits[0], {}), modal_covariance(fits[0]), 50, 1)
+    drawn = [one.frequency_response(omega)[:, :, 0] for one in drawn_models]
     ratio = np.std(drawn, axis=0) / np.std(models, axis=0)
     assert 0.9 < np.sqrt(np.mean(ratio**2)) < 1.1, f"drawn models scatter {ratio.mean():.2f} times as much"
     assert ratio.min() > 0.6, ratio

@@ -147,4 +147,4 @@ def identify_data(
         "states": f"{len(poles)} modes by maximum likelihood, and one pair for each input that stands for modes above",
     }
     progress("identified", 1.0)
-    return DataIdentification(data, band, responses, estimate, modal_model(estimate, provenance)[0], warnings)
+    return DataIdentification(data, band, responses, estimate, modal_model(estimate, provenance), warnings)

@@ -21,7 +21,7 @@ from abrace_core.run import Run
 from abrace_sysid.fitting.options import FIT_METHODS, IdentificationOptions
 from abrace_sysid.fitting.pole_fits import PoleFit, fit_poles_of
 from abrace_sysid.models.consistent import consistent_model, realize_together
-from abrace_sysid.models.modal import modal_model
+from abrace_sysid.models.modal import modal_covariance, modal_model
 from abrace_sysid.models.realization import realize, superpose, unexplained
 from abrace_sysid.models.reduction import Reduction, balanced_truncation, typical_scales
 from abrace_sysid.recordings import prepare, require_at_rest
@@ -167,13 +167,10 @@ def identify(
         "method": {"table": from_table.responses[0].method, "command": from_commands[0].responses[0].method},
         "options": asdict(options),
     }
-    covariance = None
     measured, delays = [one for data in tests for one in data.responses], dict.fromkeys(names, options.servo_lag)
     whole = realize_together(measured, poles.of_model, delays)
     if poles.estimate is not None:
-        model, covariance = modal_model(
-            poles.estimate, {**provenance, "states": "modes of maximum likelihood, lags among them"}
-        )
+        model = modal_model(poles.estimate, {**provenance, "states": "modes of maximum likelihood, lags among them"})
     else:
         merged = consistent_model(measured, poles.of_model, delays, options.command_band).model
         model = replace(merged, provenance={**provenance, **merged.provenance})
@@ -188,6 +185,7 @@ def identify(
         misfits += _lags_that_differ(poles.estimate, from_commands, options)
     warnings = tuple(dict.fromkeys([*(sentence for data in tests for sentence in data.warnings), *misfits]))
     reduction = replace(reduction, model=reduced)
+    covariance = None if poles.estimate is None else modal_covariance(poles.estimate)
     return Identification(from_table, from_commands, poles, model, superposed, whole, reduction, warnings, covariance)
 
 

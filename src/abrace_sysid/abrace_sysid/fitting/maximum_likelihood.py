@@ -27,6 +27,7 @@ from abrace_core.errors import AbraceError
 from abrace_sysid.fitting.condensed_lines import direct_terms
 from abrace_sysid.fitting.covariance import covariance
 from abrace_sysid.fitting.curve_fit import require_stable
+from abrace_sysid.fitting.joint_covariance import inflation, of_entries
 from abrace_sysid.fitting.likelihood import FASTEST, Likelihood
 from abrace_sysid.fitting.pole_estimate import PoleEstimate, columns_of
 from abrace_sysid.fitting.starting_modes import starting_modes
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from abrace_sysid.fitting.modes import Modes
     from abrace_sysid.fitting.observation import Observation
 
 ITERATIONS = 150
@@ -112,8 +112,7 @@ def fit_poles(
     require_stable(found.poles, where)
     coefficients = np.array([one.coefficients for one in likelihood.channels])
     spread = covariance(likelihood, joint)
-    parameters = len(likelihood.gradient)
-    of_modes = spread[:parameters, :parameters]
+    of_modes = spread[: len(likelihood.gradient), : len(likelihood.gradient)]
     return PoleEstimate(
         found.poles,
         of_modes,
@@ -126,53 +125,9 @@ def fit_poles(
         found.drive / unit,
         _shapes(found.poles, coefficients),
         _direct(observations, inputs, found.poles, coefficients) / unit,
-        _inflation(likelihood, of_modes),
-        _of_entries(spread, parameters, observations, inputs, found, len(coefficients), unit) if joint else None,
+        inflation(likelihood, of_modes),
+        of_entries(likelihood, spread, inputs, unit) if joint else None,
     )
-
-
-def _inflation(likelihood: Likelihood, covariance: NDArray[np.float64]) -> float:
-    """Variance of a pair over that with channels and lines that are independent, of the pair with most of it."""
-    modes, free = likelihood.modes, likelihood.free
-    independent = np.diag(np.linalg.inv(likelihood.normal[np.ix_(free, free)]))
-    ratio = np.ones(len(free))
-    ratio[free] = np.diag(covariance)[free] / independent
-    places = columns_of(modes.poles)
-    pairs = np.flatnonzero((modes.poles.imag > 0) & ~modes.fixed)
-    return max((float(np.mean(ratio[places[pair]])) for pair in pairs), default=1.0)
-
-
-def _of_entries(
-    spread: NDArray[np.float64],
-    first: int,
-    observations: Sequence[Observation],
-    inputs: Sequence[str],
-    modes: Modes,
-    channels: int,
-    unit: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """The `joint` covariance of `PoleEstimate`, from that of parameters and, from `first` on, coefficients."""
-    size = (len(spread) - first) // channels
-    places, count = columns_of(modes.poles), len(inputs)
-    states = places[-1].stop
-    end = states * (1 + count)
-    entries = np.zeros((end + channels * (states + count), len(spread)))
-    entries[:states, :states] = np.eye(states)
-    for mode, direction, columns in modes.parameters():
-        if direction is None:
-            continue
-        turned = modes.directions(mode)[:, direction] / unit
-        for factor, column in zip((1, 1j), range(columns.start, columns.stop), strict=False):
-            parts = (factor * turned).real, (factor * turned).imag
-            for place, part in zip(range(places[mode].start, places[mode].stop), parts, strict=False):
-                entries[states + place * count : states + (place + 1) * count, column] = part
-    at = _places_of_direct(observations, inputs, modes.poles)
-    for c in range(channels):
-        own = first + c * size
-        entries[end + c * states + np.arange(states), own + np.arange(states)] = 1
-        for j, place in enumerate(at):
-            entries[end + channels * states + c * count + j, own + place] = 1 / unit[j]
-    return np.asarray(entries @ spread @ entries.T)
 
 
 def _shapes(poles: NDArray[np.complex128], coefficients: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -188,18 +143,12 @@ def _direct(
     observations: Sequence[Observation], inputs: Sequence[str], poles: NDArray[np.complex128], coefficients: NDArray
 ) -> NDArray[np.float64]:
     """(channels, inputs) direct terms, of each input those of the test that shows most modes."""
-    return coefficients[:, _places_of_direct(observations, inputs, poles)]
-
-
-def _places_of_direct(
-    observations: Sequence[Observation], inputs: Sequence[str], poles: NDArray[np.complex128]
-) -> list[int]:
-    """Of each input the place of its direct term among a channel's coefficients."""
-    places = dict.fromkeys(inputs, 0)
+    direct = np.zeros((len(coefficients), len(inputs)))
     groups = direct_terms(observations, poles)
     for (names, _), first in sorted(groups.items(), key=lambda item: len(item[0][1])):
-        places.update({name: first + i for i, name in enumerate(names)})
-    return list(places.values())
+        for i, name in enumerate(names):
+            direct[:, inputs.index(name)] = coefficients[:, first + i]
+    return direct
 
 
 def _named(poles: NDArray[np.complex128]) -> str:

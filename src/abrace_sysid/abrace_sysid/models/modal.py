@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from abrace_sysid.fitting.pole_estimate import PoleEstimate
 
 
-def modal_model(estimate: PoleEstimate, provenance: dict[str, Any]) -> tuple[LinearModel, NDArray[np.float64] | None]:
+def modal_model(estimate: PoleEstimate, provenance: dict[str, Any]) -> LinearModel:
     """The continuous model that a fit by maximum likelihood is: minimal, its numerators those of the likelihood.
 
     Parameters
@@ -24,11 +24,6 @@ def modal_model(estimate: PoleEstimate, provenance: dict[str, Any]) -> tuple[Lin
         Poles, what the inputs drive of them, and shapes.
     provenance
         Of the model.
-
-    Returns
-    -------
-    model, covariance
-        And the covariance of its parameters (`abrace_core.model_ensemble`) if the estimate has that of all of them.
     """
     blocks: list[NDArray[np.float64]] = []
     drives: list[NDArray[np.float64]] = []
@@ -45,21 +40,36 @@ def modal_model(estimate: PoleEstimate, provenance: dict[str, Any]) -> tuple[Lin
             shapes.append(shape.real)
     # states of a size between those of the input and of the output; a pair's two alike, so that its block stays
     into, out_of, first = np.array(drives), np.column_stack(shapes), 0
-    sizes, signs = np.ones(len(into)), np.ones(len(into))
     for block in blocks:
         own = slice(first, first + len(block))
         driven, seen = np.linalg.norm(into[own]), np.linalg.norm(out_of[:, own])
         if driven * seen > 0:
             size = np.sqrt(seen / driven)
-            sizes[own] = size
-        signs[first + 1 : own.stop] = -1
+            into[own], out_of[:, own] = into[own] * size, out_of[:, own] / size
         first = own.stop
-    a, into, out_of = linalg.block_diag(*blocks), into * sizes[:, None], out_of / sizes
-    model = LinearModel(a, into, out_of, estimate.direct, estimate.inputs, estimate.outputs, provenance=provenance)
+    a = linalg.block_diag(*blocks)
+    return LinearModel(a, into, out_of, estimate.direct, estimate.inputs, estimate.outputs, provenance=provenance)
+
+
+def modal_covariance(estimate: PoleEstimate) -> NDArray[np.float64] | None:
+    """The covariance of the parameters of `modal_model`, as `abrace_core.model_ensemble` has them; None: not known.
+
+    Parameters
+    ----------
+    estimate
+        Of which the covariance of all of it was asked for.
+    """
     if estimate.joint is None:
-        return model, None
+        return None
+    driven, seen = np.linalg.norm(estimate.drive, axis=1), np.linalg.norm(estimate.shapes, axis=0)
+    size = np.ones(len(estimate.poles))
+    known = driven * seen > 0
+    size[known] = np.sqrt(seen[known] / driven[known])
+    states = np.where(estimate.poles.imag > 0, 2, 1)
+    sizes, signs = np.repeat(size, states), np.ones(states.sum())
+    signs[np.cumsum(states)[states == 2] - 1] = -1  # the second state of a pair is seen by minus the imaginary part
     inputs, outputs = len(estimate.inputs), len(estimate.outputs)
     scale = np.concatenate(
-        [np.ones(len(a)), np.repeat(sizes, inputs), np.tile(signs / sizes, outputs), np.ones(outputs * inputs)]
+        [np.ones(len(sizes)), np.repeat(sizes, inputs), np.tile(signs / sizes, outputs), np.ones(outputs * inputs)]
     )
-    return model, estimate.joint * np.outer(scale, scale)
+    return np.asarray(estimate.joint * np.outer(scale, scale))

@@ -1,0 +1,77 @@
+"""The covariance of a fit in terms of its poles, drives, shapes and direct terms, which a model is made of."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_sysid.fitting.condensed_lines import direct_terms
+from abrace_sysid.fitting.pole_estimate import columns_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_sysid.fitting.likelihood import Likelihood
+
+
+def inflation(likelihood: Likelihood, covariance: NDArray[np.float64]) -> float:
+    """Variance of a pair over that with channels and lines that are independent, of the pair with most of it.
+
+    Parameters
+    ----------
+    likelihood
+        At its maximum.
+    covariance
+        Of its parameters.
+    """
+    modes, free = likelihood.modes, likelihood.free
+    independent = np.diag(np.linalg.inv(likelihood.normal[np.ix_(free, free)]))
+    ratio = np.ones(len(free))
+    ratio[free] = np.diag(covariance)[free] / independent
+    places = columns_of(modes.poles)
+    pairs = np.flatnonzero((modes.poles.imag > 0) & ~modes.fixed)
+    return max((float(np.mean(ratio[places[pair]])) for pair in pairs), default=1.0)
+
+
+def of_entries(
+    likelihood: Likelihood, covariance: NDArray[np.float64], inputs: Sequence[str], unit: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The covariance `joint` of `PoleEstimate`.
+
+    Parameters
+    ----------
+    likelihood
+        At its maximum.
+    covariance
+        Of its parameters, and of each channel's coefficients.
+    inputs, unit
+        Names of all inputs, and (inputs,) the units in which they are in the likelihood.
+    """
+    modes, channels = likelihood.modes, len(likelihood.channels)
+    places, count, first = columns_of(modes.poles), len(inputs), len(likelihood.gradient)
+    states, size = places[-1].stop, (len(covariance) - first) // channels
+    end = states * (1 + count)
+    entries = np.zeros((end + channels * (states + count), len(covariance)))
+    entries[:states, :states] = np.eye(states)
+    for mode, direction, columns in modes.parameters():
+        if direction is None:
+            continue
+        turned = modes.directions(mode)[:, direction] / unit
+        for factor, column in zip((1, 1j), range(columns.start, columns.stop), strict=False):
+            parts = (factor * turned).real, (factor * turned).imag
+            for place, part in zip(range(places[mode].start, places[mode].stop), parts, strict=False):
+                entries[states + place * count : states + (place + 1) * count, column] = part
+    at: dict[str, int] = {}
+    groups = direct_terms([test.observation for test in likelihood.tests], modes.poles)
+    for (names, _), place in sorted(groups.items(), key=lambda item: len(item[0][1])):
+        at.update({name: place + i for i, name in enumerate(names)})
+    for c in range(channels):
+        own = first + c * size
+        entries[end + c * states + np.arange(states), own + np.arange(states)] = 1
+        for name, place in at.items():
+            j = inputs.index(name)
+            entries[end + channels * states + c * count + j, own + place] = 1 / unit[j]
+    return np.asarray(entries @ covariance @ entries.T)
