@@ -37,6 +37,7 @@ from abrace_lqg.design import balanced, delayed, design
 from abrace_lqg.riccati import kalman, regulator
 from abrace_lqg.weights import Weights, load_weights
 from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.published import INTENSITY
 from abrace_sysid.models.reduction import balanced_truncation, typical_scales
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def rig_and_weights() -> tuple[Rig, Weights]:
 
 def reduced(rig: Rig) -> LinearModel:
     """Eight states of the rig's model, the paper's order."""
-    return balanced_truncation(rig.model, 8, typical_scales(rig.model, (0.3, 30.0))).model
+    return balanced_truncation(rig.model, 8, typical_scales(rig.model, (0.3, 30.0), INTENSITY)).model
 
 
 def lqg3() -> Controller:

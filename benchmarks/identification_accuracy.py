@@ -123,7 +123,7 @@ def two_tests(rig: Rig, length: float | None, seed: int) -> dict[str, Run]:
 def by_peer(method: str, test: str, run: Run, found: Identification) -> Pairs | str:
     """A test's pairs by another method: N4SID from the record, the others from our transfer functions."""
     floors = run.floors
-    options = IdentificationOptions(fit=method)
+    options = IdentificationOptions(fit=method, command_order=12, servo_lag=published.BENCH_LAG)
     try:
         if method == "n4sid":
             poles = n4sid_poles(run, INPUTS[test])

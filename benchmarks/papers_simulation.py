@@ -137,7 +137,7 @@ def superposition(table: Rig, command: Rig) -> LinearModel:
         exact = FrequencyResponse(name, tuple(wanted), omega, response, no_error, 1 / rig.sample_rate, "exact")
         upper = rig.model.poles()
         upper = upper[upper.imag > 0][:pairs]
-        lag = options.servo_lag if name == brace else 0.0
+        lag = published.BENCH_LAG if name == brace else 0.0
         return realize(exact, np.column_stack([upper, upper.conj()]).ravel(), lag)
 
     parts = [
@@ -273,7 +273,12 @@ def causes(test: Test) -> dict[str, float]:
 
 def estimated(test: Test, table: Rig, command: Rig, method: Method) -> list[float]:
     """Distances of the superposed models of SEEDS pairs of simulated tests of 300 s, a rig for each test."""
-    options = IdentificationOptions(fit="sk", transfer_function=TransferFunctionOptions(method=method))
+    options = IdentificationOptions(
+        fit="sk",
+        command_order=12,
+        servo_lag=published.BENCH_LAG,
+        transfer_function=TransferFunctionOptions(method=method),
+    )
     errors = []
     for seed in range(SEEDS):
         noise = Laboratory(table, seed).table_test(300), Laboratory(command, seed).command_test(300)

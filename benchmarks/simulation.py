@@ -50,11 +50,12 @@ def rig_and_law() -> tuple[LinearModel, LinearModel, NDArray[np.float64]]:
     from abrace_lqg.design import design
     from abrace_lqg.weights import load_weights
     from abrace_plant.rig.file import load_rig
+    from abrace_plant.rig.published import INTENSITY
     from abrace_sysid.models.reduction import balanced_truncation, typical_scales
 
     rig = load_rig(SOURCE / "abrace_plant/config/ncree_three_storey.yaml")
     weights = load_weights(SOURCE / "abrace_lqg/config/lqg3.yaml")
-    reduced = balanced_truncation(rig.model, 8, typical_scales(rig.model, (0.3, 30.0))).model
+    reduced = balanced_truncation(rig.model, 8, typical_scales(rig.model, (0.3, 30.0), INTENSITY)).model
     law = design(reduced, weights, 1 / rig.sample_rate).controller
     return rig.discrete_model(), law, rig.capacity
 

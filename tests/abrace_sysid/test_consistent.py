@@ -12,6 +12,7 @@ from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
 from abrace_plant.records.files import read_record
 from abrace_plant.records.treatment import Treatment, prepare
+from abrace_plant.rig.published import INTENSITY
 from abrace_plant.rig.sensors import Measurement
 from abrace_sysid.fitting.slow_pole import slow_real_pole
 from abrace_sysid.models.consistent import consistent_model, realize_together
@@ -44,7 +45,7 @@ def measured(model, name, highest=30.0, outputs=("x1", "a1", "f"), lines=600):
 
 def test_exact_responses_give_back_the_rig_with_each_pole_once():
     rig = two_inputs()
-    found = consistent_model([measured(rig, "w"), measured(rig, "U")], POLES, LAG, BAND).model
+    found = consistent_model([measured(rig, "w"), measured(rig, "U")], POLES, LAG, BAND, INTENSITY).model
     assert found.order == 7
     assert (found.inputs, found.outputs, found.input_delay) == (rig.inputs, rig.outputs, rig.input_delay)
     assert np.allclose(np.sort_complex(found.poles()), np.sort_complex(POLES), rtol=1e-5)
@@ -73,7 +74,9 @@ def test_repeated_tests_of_one_input_are_fitted_together():
 def test_a_dead_channel_is_left_out_and_the_others_come_out():
     rig = two_inputs()
     names = ("x1", "f")
-    found = consistent_model([measured(rig, "w", outputs=names), measured(rig, "U", outputs=names)], POLES, LAG, BAND)
+    found = consistent_model(
+        [measured(rig, "w", outputs=names), measured(rig, "U", outputs=names)], POLES, LAG, BAND, INTENSITY
+    )
     omega = np.geomspace(1, 180, 50)
     expected = rig.select(names).frequency_response(omega)
     assert found.model.outputs == names
@@ -140,8 +143,8 @@ def predictions(rig, weights_file, responses):
     known = poles_with_the_accuracy_of_300_s(rig)
     poles = np.append(slow_real_pole(table, known), known)
     whole = realize_together([table, command], poles, LAG)
-    eight = balanced_truncation(whole, 8, typical_scales(whole, BAND)).model
-    models = {"consistent": consistent_model([table, command], poles, LAG, BAND).model, "states_8": eight}
+    eight = balanced_truncation(whole, 8, typical_scales(whole, BAND, INTENSITY)).model
+    models = {"consistent": consistent_model([table, command], poles, LAG, BAND, INTENSITY).model, "states_8": eight}
     controller = design(eight, load_weights(weights_file), 0.002).controller
     ground = prepare(
         read_record("el_centro"), 500.0, Treatment(peak_acceleration=0.980665, duration=100, band_limit=25)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from abrace_plant.rig.published import INTENSITY
 from abrace_sysid.models.reduction import balanced_truncation, typical_scales
 
 ctrlsys = pytest.importorskip("ctrlsys", reason="ctrlsys needs NumPy 2, a sourced ROS 2 Jazzy has NumPy 1.26")
@@ -16,11 +17,11 @@ BAND = (0.3, 30.0)
 @pytest.mark.parametrize("states", [6, 8, 12])
 def test_slicot_finds_the_same_reduced_model(rig, states):
     whole = rig.model
-    ours = balanced_truncation(whole, states, typical_scales(whole, BAND))
+    ours = balanced_truncation(whole, states, typical_scales(whole, BAND, INTENSITY))
     # SLICOT gets states of one size, ours finds them
     _, (size, _) = linalg.matrix_balance(whole.a, permute=False, separate=True)
     whole = replace(whole, a=whole.a * size / size[:, None], b=whole.b / size[:, None], c=whole.c * size)
-    scales = typical_scales(whole, BAND)
+    scales = typical_scales(whole, BAND, INTENSITY)
     b, c = whole.b * scales.inputs, whole.c / scales.outputs[:, None]
     inputs, outputs = len(whole.inputs), len(whole.outputs)
     matrices = (np.array(matrix, order="F") for matrix in (whole.a, b, c))

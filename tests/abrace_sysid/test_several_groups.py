@@ -13,9 +13,8 @@ from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.identification import identify
 from abrace_sysid.validation import compare
 
-# eight pairs where the rig has seven: the second servo's delay of 1 ms is no lag, and takes one
-OPTIONS = IdentificationOptions(command_order=16, table_band=(0.3, 25.0), servo_lag=0.0018)
-SECONDS = 120
+OPTIONS = IdentificationOptions(table_band=(0.3, 25.0))
+SECONDS = 90
 RMS = 3500.0
 
 
@@ -56,22 +55,18 @@ def commands_of(five, rest, kind):
 
 @pytest.mark.parametrize("kind", ["each group alone", "noise at once", "multisines at once"])
 def test_two_brace_groups_are_identified_with_modes_common_to_all_tests(five, rest, table, kind):
-    options, pairs_found = OPTIONS, 8
-    if kind == "multisines at once":  # of servos that are alike
-        one, other = five.braces
-        five = replace(five, braces=(one, replace(other, actuator=one.actuator)))
-        ground = Laboratory._noise(SECONDS, 25.0, 0.25, 3)
-        table = Laboratory(five, 1).open_loop("bags/table", ground, np.column_stack([rest, rest]))
-        options, pairs_found = replace(OPTIONS, command_order=14, servo_lag=0.001), 7
-    found = identify(table, commands_of(five, rest, kind), options)
+    found = identify(table, commands_of(five, rest, kind), OPTIONS)
     assert not found.warnings
     assert [data.input for data in found.commands] == ["U1", "U2"]
     assert found.model.inputs == ("w", "U1", "U2")
-    assert found.model.order == 2 * pairs_found + 4, "pairs, and of each servo a slow pole and a lag"
-    assert not any(found.model.input_delay), "the lag is among the states"
+    assert found.model.order == 2 * 7 + 4, "seven pairs, and of each servo a slow pole and a lag"
+    assert found.model.input_delay == pytest.approx((0.0, 0.0005, 0.001), abs=6e-5), "the digital servos' steps"
+    fast = np.sort(five.model.poles().real)[:2]  # -1 / lag, with the building
+    assert found.reduced.input_delay == pytest.approx((0.0, 0.0005 - 1 / fast[0], 0.001 - 1 / fast[1]), abs=2e-5)
+    assert found.reduced.order == 10, "two states for each mode of the building"
     own = np.array(pole_table(five.model.poles()))
     pairs = np.array([(pair.frequency, pair.damping) for pair in found.poles.common_pairs])
-    assert len(pairs) == pairs_found
+    assert len(pairs) == len(own) == 7
     frequency, damping = np.abs(pairs[: len(own)] / own - 1).max(axis=0)
     assert frequency < 5e-4
     assert damping < 0.01

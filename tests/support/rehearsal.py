@@ -25,6 +25,7 @@ from abrace_plant.records.treatment import Treatment, prepare
 from abrace_plant.rig.interlocks import Interlocks, Trip
 from abrace_plant.rig.motion import RigMotion
 from abrace_plant.rig.over_range import OverRange
+from abrace_plant.rig.published import INTENSITY
 from abrace_plant.rig.sensors import Measurement, parse_fault
 from abrace_sysid.models.reduction import balanced_truncation, typical_scales
 
@@ -53,7 +54,7 @@ def controller(rig: Rig, weights: Weights, gain: float = 1.0) -> Controller:
 
     With another `gain` than 1 it is wrong (-1: its sign), and winds up, as Eq. (13) is printed.
     """
-    reduced = balanced_truncation(rig.model, 8, typical_scales(rig.model, (0.3, 30.0))).model
+    reduced = balanced_truncation(rig.model, 8, typical_scales(rig.model, (0.3, 30.0), INTENSITY)).model
     made = design(reduced, weights, 1 / rig.sample_rate)
     law = replace(made.controller, c=gain * made.controller.c, d=gain * made.controller.d)
     correction = made.correction if gain == 1 else 0 * made.correction

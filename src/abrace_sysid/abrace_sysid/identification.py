@@ -21,9 +21,9 @@ from abrace_core.run import Run
 from abrace_sysid.fitting.options import FIT_METHODS, IdentificationOptions
 from abrace_sysid.fitting.pole_fits import PoleFit, fit_poles_of
 from abrace_sysid.models.consistent import consistent_model, realize_together
-from abrace_sysid.models.modal import modal_covariance, modal_model
+from abrace_sysid.models.modal import modal_covariance, modal_model, servo_lags, without_lags
 from abrace_sysid.models.realization import realize, superpose, unexplained
-from abrace_sysid.models.reduction import Reduction, balanced_truncation, typical_scales
+from abrace_sysid.models.reduction import Reduction, Scales, balanced_truncation, typical_scales
 from abrace_sysid.recordings import prepare, require_at_rest
 from abrace_sysid.spectra.estimation import frequency_responses
 from abrace_sysid.spectra.fourier import held_input
@@ -31,12 +31,11 @@ from abrace_sysid.spectra.measured_tests import TestData
 from abrace_sysid.spectra.periodic_response import find_period, periodic_response, same_realization
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from abrace_core.linear_model import LinearModel
-    from abrace_sysid.fitting.pole_estimate import PoleEstimate
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 
@@ -58,13 +57,15 @@ class Identification:
     poles
         Poles of each test and of both, with their uncertainty where the method gives it.
     model
-        The consistent model, for prediction; the servo's lag is its input delay.
+        The consistent model, for prediction; the servos' lags are states, and their delays input delays.
     superposed
         Eqs. (6) and (7), the paper's.
     whole
-        The consistent model before its copies were merged.
+        The consistent model that was reduced: each servo's lag and delay the delay of its command.
     reduction
         Eq. (9): the reduced model and the Hankel singular values of `whole`.
+    scales
+        The balancing units: rms of the inputs in the tests, and of each output under such inputs.
     warnings
         On the bags and on the fit, each sentence once.
     covariance
@@ -78,6 +79,7 @@ class Identification:
     superposed: LinearModel
     whole: LinearModel
     reduction: Reduction
+    scales: Scales
     warnings: tuple[str, ...]
     covariance: NDArray[np.float64] | None = None
 
@@ -168,25 +170,36 @@ def identify(
         "options": asdict(options),
     }
     measured, delays = [one for data in tests for one in data.responses], dict.fromkeys(names, options.servo_lag)
-    whole = realize_together(measured, poles.of_model, delays)
+    intensity = {data.input: _intensity(data) for data in tests}
+    highest = float(from_commands[0].responses[0].omega[-1])
     if poles.estimate is not None:
+        delays |= servo_lags(poles.estimate, highest)
+    provenance["lags"] = delays
+    if poles.estimate is not None:
+        whole = modal_model(without_lags(poles.estimate, highest), provenance)
         model = modal_model(poles.estimate, {**provenance, "states": "modes of maximum likelihood, lags among them"})
     else:
-        merged = consistent_model(measured, poles.of_model, delays, options.command_band).model
+        whole = realize_together(measured, poles.of_model, delays)
+        merged = consistent_model(measured, poles.of_model, delays, options.command_band, intensity).model
         model = replace(merged, provenance={**provenance, **merged.provenance})
-    superposed = _superposed(from_table, from_commands, poles, floors, options.servo_lag)
+    superposed = _superposed(from_table, from_commands, poles, delays)
     superposed = replace(superposed, provenance={**provenance, "states": "superposed, Eqs. (6) and (7)"})
     progress("balanced reduction", 0.95)
-    reduction = balanced_truncation(whole, options.reduced_order, typical_scales(whole, options.command_band))
+    scales = typical_scales(whole, options.command_band, intensity)
+    reduction = balanced_truncation(whole, options.reduced_order, scales)
     reduced = replace(reduction.model, provenance={**provenance, "states": "consistent, balanced and cut, Eq. (9)"})
     progress("identified", 1.0)
     misfits = [sentence for data in tests for sentence in _misfits(model, data)]
     if poles.estimate is not None:
-        misfits += _lags_that_differ(poles.estimate, from_commands, options)
-    warnings = tuple(dict.fromkeys([*(sentence for data in tests for sentence in data.warnings), *misfits]))
+        misfits += _lags_that_differ(delays, from_commands, options)
+    warnings = tuple(
+        dict.fromkeys([*(sentence for data in tests for sentence in data.warnings), *poles.warnings, *misfits])
+    )
     reduction = replace(reduction, model=reduced)
     covariance = None if poles.estimate is None else modal_covariance(poles.estimate)
-    return Identification(from_table, from_commands, poles, model, superposed, whole, reduction, warnings, covariance)
+    return Identification(
+        from_table, from_commands, poles, model, superposed, whole, reduction, scales, warnings, covariance
+    )
 
 
 def _misfits(model: LinearModel, data: TestData) -> tuple[str, ...]:
@@ -204,40 +217,26 @@ def _misfits(model: LinearModel, data: TestData) -> tuple[str, ...]:
     return (f"{found}: {advice}",) if poor else ()
 
 
-def measured_lag(estimate: PoleEstimate, command: str, highest: float) -> float | None:
-    """The lag of a servo as the tests show it, from its fast real poles [s]; None where they show none.
-
-    Parameters
-    ----------
-    estimate
-        The modes of all tests.
-    command
-        Name of the servo's command.
-    highest
-        Frequency [Hz] up to which it was excited.
-    """
-    drive = estimate.drive[:, estimate.inputs.index(command)]
-    fast = (estimate.poles.imag == 0) & (-estimate.poles.real > 2 * np.pi * highest) & (drive != 0)
-    return float(np.sum(-1 / estimate.poles[fast].real)) if fast.any() else None
-
-
 def _lags_that_differ(
-    estimate: PoleEstimate, commands: Sequence[TestData], options: IdentificationOptions
+    lags: Mapping[str, float], commands: Sequence[TestData], options: IdentificationOptions
 ) -> list[str]:
-    """A sentence for each command whose servo's lag, a fast real pole, is far from the one that was given."""
-    found = []
-    for data in commands:
-        lag = measured_lag(estimate, data.input, options.command_band[1])
-        if lag is not None and abs(lag - options.servo_lag) > LAG_DIFFERENCE * options.servo_lag:
-            found.append(
-                f"{data.source}: {data.input} lags by {1e3 * lag:.2g} ms, servo_lag says {1e3 * options.servo_lag:.2g}"
-                ": model.json has what was measured; set servo_lag to it for the reduced and the superposed model"
-            )
-    return found
+    """A sentence for each command whose servo's lag, as measured, is far from that of the bench test."""
+    given = options.servo_lag
+    return [
+        f"{data.source}: {data.input} lags by {1e3 * lags[data.input]:.2g} ms, servo_lag says {1e3 * given:.2g}: the "
+        "models have what was measured; was servo_lag measured on this rig, in s?"
+        for data in commands
+        if given and abs(lags[data.input] - given) > LAG_DIFFERENCE * given
+    ]
+
+
+def _intensity(data: TestData) -> float:
+    """Rms of an input in its tests."""
+    return float(np.sqrt(np.mean([np.mean(held_input(run, data.input) ** 2) for run in data.runs])))
 
 
 def _superposed(
-    table: TestData, commands: Sequence[TestData], poles: PoleFit, floors: int, servo_lag: float
+    table: TestData, commands: Sequence[TestData], poles: PoleFit, delays: Mapping[str, float]
 ) -> LinearModel:
     """Eqs. (3) to (7): parts with poles of their own, one of the table and two of each command."""
     accelerations = [name for name in table.outputs if name.startswith("a")]
@@ -246,13 +245,13 @@ def _superposed(
     def of(data: TestData, outputs: Sequence[str]) -> list[FrequencyResponse]:
         return [response.select(outputs) for response in data.responses]
 
-    building = poles.command[: 2 * floors]
+    building = poles.building
     parts = [realize(of(table, table.outputs), poles.table)]
     for command in commands:
         if accelerations:
-            parts.append(realize(of(command, accelerations), poles.command, servo_lag))
+            parts.append(realize(of(command, accelerations), poles.command, delays[command.input]))
         if others:
-            parts.append(realize(of(command, others), building, servo_lag))
+            parts.append(realize(of(command, others), building, delays[command.input]))
     return superpose(parts, (table.input, *(command.input for command in commands)), table.outputs)
 
 
@@ -346,6 +345,7 @@ def _check_rig(tables: Sequence[Run], commands: Sequence[Run], options: Identifi
         ):
             if one != other and None not in (one, other):
                 raise AbraceError(f"{run.source}: {what} {other}, but {one} in {first.source}: expected the same rig")
-    if options.command_order < 2 * first.floors or options.command_order % 2:
+    of_data = options.command_order == 0 and (options.fit == "maximum_likelihood" or first.groups > 1)
+    if not of_data and (options.command_order < 2 * first.floors or options.command_order % 2):
         expected = f"an even number of at least {2 * first.floors}"
         raise AbraceError(f"identification: command_order {options.command_order}, expected {expected}")

@@ -38,3 +38,6 @@ SHAPE = (0.159 / 0.371, 0.292 / 0.371, 1.0)
 
 STROKE_RATIO = 0.127 / 0.159
 """Stroke over displacement of the first floor: rms of Table 1's experiment."""
+
+INTENSITY = {"w": 0.02 * 9.80665, "U": 186.0 * 9.80665}
+"""Rms of the ground acceleration [m/s^2] and of the command [N] in Table 1's test."""

@@ -6,13 +6,13 @@ the triangular factor, whose size does not depend on the length of the test.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from abrace_core.errors import AbraceError
-from abrace_sysid.fitting.pole_basis import sides_of
+from abrace_sysid.fitting.pole_basis import sides_of, whole_samples
 from abrace_sysid.fitting.pole_estimate import columns_of
 
 if TYPE_CHECKING:
@@ -26,18 +26,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Slope:
-    """One complex parameter's slope in a test: which coefficients multiply it, and which parameters they move."""
+    """A parameter's slope in a test: columns, which coefficients multiply them, as a complex number times a factor.
 
+    `columns` are places in the test's basis and slopes side by side, `parameter` is the place of the parameter, real or
+    complex.
+    """
+
+    columns: slice
     coefficient: slice
     parameter: slice
+    factor: complex = 1.0
 
 
 @dataclass(frozen=True)
 class CondensedLines:
     """One test: its basis, slopes and channels at every line, stacked real above imaginary, and condensed.
 
-    `observation` is the test; `columns` are the places of the basis among all coefficients; `basis`, `slopes`,
-    `measured` have 2 lines rows, and `small` is the triangular factor of the three side by side.
+    `observation` is the test; `columns` are the places of the basis among all coefficients; `basis`, `slopes` (the basis
+    first), `measured` have 2 lines rows, and `small` is the triangular factor of slopes and channels side by side.
     """
 
     observation: Observation
@@ -50,21 +56,21 @@ class CondensedLines:
 
     @property
     def parts(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Basis, slopes and channels condensed."""
-        first, second = self.basis.shape[1], self.basis.shape[1] + self.slopes.shape[1]
-        return self.small[:, :first], self.small[:, first:second], self.small[:, second:]
+        """The basis, basis and slopes, and channels, condensed."""
+        first, second = self.basis.shape[1], self.slopes.shape[1]
+        return self.small[:, :first], self.small[:, :second], self.small[:, second:]
 
     def combination(self, coefficients: NDArray[np.float64], parameters: int) -> NDArray[np.float64]:
         """(slopes, parameters) that make of the slopes the derivatives of a channel with these `coefficients`."""
         combined = np.zeros((self.slopes.shape[1], parameters))
-        row = 0
         for kind in self.kinds:
-            first, parameter = coefficients[kind.coefficient], kind.parameter.start
-            combined[row : row + len(first), parameter] = first
-            if len(first) == 2:
-                # x1 and x2 have the derivatives s1 and s2 with the real part, and s2 and -s1 with the imaginary one
-                combined[row : row + 2, parameter + 1] = -first[1], first[0]
-            row += len(first)
+            own = coefficients[kind.coefficient]
+            value = complex(*own) * kind.factor
+            for number, column in enumerate(range(kind.parameter.start, kind.parameter.stop)):
+                # a complex number c weighs the two columns of a pair by its parts; of its derivatives the other is i c
+                turned = value * 1j**number
+                parts = (turned.real, turned.imag)[: kind.columns.stop - kind.columns.start]
+                combined[kind.columns, column] += parts
         return combined
 
 
@@ -89,44 +95,48 @@ def condensed(observations: Sequence[Observation], inputs: Sequence[str], modes:
         If a test has fewer lines than unknowns.
     """
     places = columns_of(modes.poles)
-    direct = direct_terms(observations, modes.poles)
-    end = max(first + len(names) for (names, _), first in direct.items())
+    direct, end = direct_terms(observations, inputs, modes)
     tests = []
     for observation in observations:
         shown = observation.shown(modes.poles)
         first = direct[observation.inputs, shown]
-        basis, slopes, columns, kinds = _lines_of(observation, inputs, modes, shown, places, end)
-        columns += range(first, first + len(observation.inputs))
-        basis += list(observation.excitation.T)
+        basis, slopes, columns, kinds = _lines_of(observation, inputs, modes, shown, places, end, first)
         end = max(end, 1 + max(columns))
-        unknowns = len(columns) + modes.parameters()[-1][2].stop
+        unknowns = len(columns) + modes.size
         if 2 * len(observation.z) <= unknowns:
             raise AbraceError(
                 f"{observation.source}: {len(observation.z)} frequency lines, expected more than {unknowns // 2}"
             )
         weight = 1 / observation.noise_level[:, None]
-        states, changes = (stacked(np.column_stack(part) * weight) for part in (basis, slopes))
-        measured = stacked(observation.measured * weight)
-        whole = np.hstack([states, changes, measured])
+        lines = np.asarray(np.column_stack([*basis, *slopes, observation.measured]) * weight, dtype=np.complex128)
+        whole = stacked(lines)
         scale = np.linalg.norm(whole, axis=0)
         scale[scale == 0] = 1.0
         small = np.linalg.qr(whole / scale, mode="r") * scale
-        tests.append(CondensedLines(observation, np.array(columns), tuple(kinds), states, changes, measured, small))
+        changes, measured = np.split(whole, [len(basis) + len(slopes)], axis=1)
+        own = np.array(columns)
+        tests.append(CondensedLines(observation, own, kinds, changes[:, : len(basis)], changes, measured, small))
     return tuple(tests)
 
 
 def direct_terms(
-    observations: Sequence[Observation], poles: NDArray[np.complex128]
-) -> dict[tuple[tuple[str, ...], tuple[int, ...]], int]:
-    """Of each group of `observations` with the same inputs and modes, of `poles`, where its direct terms are."""
-    end = columns_of(poles)[-1].stop
+    observations: Sequence[Observation], inputs: Sequence[str], modes: Modes
+) -> tuple[dict[tuple[tuple[str, ...], tuple[int, ...]], int], int]:
+    """Of each group of tests with the same inputs and modes where its direct terms are, and where the last one ends.
+
+    Parameters
+    ----------
+    observations, inputs, modes
+        As of `condensed`.
+    """
+    end = columns_of(modes.poles)[-1].stop
     found: dict[tuple[tuple[str, ...], tuple[int, ...]], int] = {}
     for observation in observations:
-        group = observation.inputs, observation.shown(poles)
+        group = observation.inputs, observation.shown(modes.poles)
         if group not in found:
             found[group] = end
-            end += len(observation.inputs)
-    return found
+            end += sum(modes.direct[inputs.index(name)] for name in observation.inputs)
+    return found, end
 
 
 def _lines_of(
@@ -136,48 +146,84 @@ def _lines_of(
     shown: Sequence[int],
     places: Sequence[slice],
     transient_at: int,
-) -> tuple[list[NDArray[np.complex128]], list[NDArray[np.complex128]], list[int], list[Slope]]:
-    """Basis of the modes and of their transients, slopes with every parameter, and where the coefficients are."""
+    direct_at: int,
+) -> tuple[list[NDArray[np.complex128]], list[NDArray[np.complex128]], list[int], tuple[Slope, ...]]:
+    """Basis of the modes, of their transients and of direct terms, slopes with every parameter, where coefficients are.
+
+    Places of the slopes among their own columns are behind those of the basis.
+    """
     z = observation.z
     named = [inputs.index(name) for name in observation.inputs]
     at = {(mode, direction): columns for mode, direction, columns in modes.parameters()}
+    delays = modes.delay_columns()
     basis: list[NDArray[np.complex128]] = []
     slopes: list[NDArray[np.complex128]] = []
     columns: list[int] = []
-    kinds: list[Slope] = []
+    of_basis: list[Slope] = []
+    of_slopes: list[Slope] = []
+
+    def add_slope(new: list[NDArray[np.complex128]], coefficient: slice, parameter: slice) -> slice:
+        own = slice(len(slopes), len(slopes) + len(new))
+        slopes.extend(new)
+        of_slopes.append(Slope(own, coefficient, parameter))
+        return own
+
     # a transient that is over within a sample is the same at all lines, whatever its pole; and fixed poles have none
     at_once = -modes.poles.real * observation.samplings[0].sample_period > 1
     slow = ~at_once & ~modes.fixed
+    later: list[tuple[int, slice, complex]] = []  # of delayed inputs themselves: which, coefficients and factor
     for mode in shown:
         pole, place = modes.poles[mode], places[mode]
         sides = sides_of(pole)
         responses, changes = [], []  # of each side (the pole, its conjugate): (lines, inputs)
         for side in sides:
             pairs = [
-                [drive * part for part in sampling.response(side, z)]
-                for sampling, drive in zip(observation.samplings, observation.excitation.T, strict=True)
+                [drive * part for part in sampling.response(side, z, modes.delays[i])]
+                for sampling, drive, i in zip(observation.samplings, observation.excitation.T, named, strict=True)
             ]
             responses.append(np.column_stack([pair[0] for pair in pairs]))
             changes.append(np.column_stack([pair[1] for pair in pairs]))
-        basis += combined(responses, modes.drive[mode, named])
+        drive = modes.drive[mode]
+        own = slice(len(basis), len(basis) + len(sides))
+        basis += combined(responses, drive[named])
         columns += range(place.start, place.stop)
-        slopes += combined(changes, modes.drive[mode, named])
-        kinds.append(Slope(place, at[mode, None]))
+        add_slope(combined(changes, drive[named]), place, at[mode, None])
+        vectors = [(own, drive, of_basis)]
         for direction, vector in enumerate(modes.directions(mode).T):
-            slopes += combined(responses, vector[named])
-            kinds.append(Slope(place, at[mode, direction]))
+            turned = add_slope(combined(responses, vector[named]), place, at[mode, direction])
+            vectors.append((turned, vector, of_slopes))
+        for i in (i for i in named if i in delays and drive[i]):
+            # -(p x + u): the state that the input alone makes is a sum of those that drive and directions make
+            moved = slice(delays[i], delays[i] + 1)
+            for where, vector, found in vectors:
+                found.append(Slope(where, place, moved, -pole * drive[i] * np.conj(vector[i])))
+            later.append((i, place, -drive[i]))
         if observation.transient and slow[mode]:
             leaks = [observation.samplings[0].transient(side, z) for side in sides]
             basis += combined([leak[0][:, None] for leak in leaks], np.ones(1))
-            slopes += combined([leak[1][:, None] for leak in leaks], np.ones(1))
             size = place.stop - place.start
             columns += range(transient_at, transient_at + size)
-            kinds.append(Slope(slice(transient_at, transient_at + size), at[mode, None]))
+            transient = slice(transient_at, transient_at + size)
+            add_slope(combined([leak[1][:, None] for leak in leaks], np.ones(1)), transient, at[mode, None])
             transient_at += size
     if observation.transient and at_once[list(shown)].any():
         basis.append(np.ones(len(z), dtype=np.complex128))
         columns.append(transient_at)
-    return basis, slopes, columns, kinds
+    for number, i in enumerate(named):
+        if modes.direct[i]:
+            basis.append(observation.excitation[:, number])
+            columns.append(direct_at)
+            direct_at += 1
+        elif i in delays:
+            own = slice(len(slopes), len(slopes) + 1)
+            samples = 1 + whole_samples(modes.delays[i], observation.samplings[number].sample_period)
+            slopes.append(observation.excitation[:, number] * z ** -float(samples))
+            moved = slice(delays[i], delays[i] + 1)
+            of_slopes += [Slope(own, place, moved, factor) for who, place, factor in later if who == i]
+    behind = [
+        replace(one, columns=slice(one.columns.start + len(basis), one.columns.stop + len(basis))) for one in of_slopes
+    ]
+    return basis, slopes, columns, (*of_basis, *behind)
 
 
 def combined(sides: Sequence[NDArray[np.complex128]], vector: NDArray[Any]) -> list[NDArray[np.complex128]]:

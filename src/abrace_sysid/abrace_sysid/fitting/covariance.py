@@ -19,7 +19,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft, linalg, stats
+from scipy import fft, linalg, sparse, stats
 
 from abrace_sysid.fitting.pole_estimate import NORMAL_95
 
@@ -112,10 +112,7 @@ def _scatter(
 
 def _influence(likelihood: Likelihood, joint: bool) -> NDArray[np.float64]:
     """(parameters, scores) what a score moves: the inverse of the normal matrix, of coefficients too if `joint`."""
-    free = np.ix_(likelihood.free, likelihood.free)
-    unit = 1 / np.sqrt(np.diag(likelihood.normal)[likelihood.free])
-    of_modes = np.zeros_like(likelihood.normal)
-    of_modes[free] = np.linalg.inv(likelihood.normal[free] * np.outer(unit, unit)) * np.outer(unit, unit)
+    of_modes = likelihood.inverse()
     if not joint:
         return of_modes
     parameters = len(of_modes)
@@ -142,7 +139,9 @@ def _scores(likelihood: Likelihood, test: int, joint: bool, in_time: bool) -> ND
     for c, channel in enumerate(likelihood.channels):
         left = one.measured[:, c] - one.basis @ channel.coefficients[own]
         residual = _paired(left * (one.observation.weight / channel.power[test]), in_time)
-        slopes = one.slopes @ one.combination(channel.coefficients, parameters) - one.basis @ channel.projection[own]
+        # hardly any entry of the combination is not zero
+        moved = sparse.csr_matrix(one.combination(channel.coefficients, parameters).T)
+        slopes = (moved @ one.slopes.T).T - one.basis @ channel.projection[own]
         found[:, :parameters] += _product(_paired(slopes, in_time), residual)
         if joint:
             found[:, parameters + c * size + own] = _product(_paired(one.basis, in_time), residual)

@@ -28,9 +28,9 @@ def inflation(likelihood: Likelihood, covariance: NDArray[np.float64]) -> float:
         Of its parameters.
     """
     modes, free = likelihood.modes, likelihood.free
-    independent = np.diag(np.linalg.inv(likelihood.normal[np.ix_(free, free)]))
+    independent = np.diag(likelihood.inverse())
     ratio = np.ones(len(free))
-    ratio[free] = np.diag(covariance)[free] / independent
+    ratio[free] = np.diag(covariance)[free] / independent[free]
     places = columns_of(modes.poles)
     pairs = np.flatnonzero((modes.poles.imag > 0) & ~modes.fixed)
     return max((float(np.mean(ratio[places[pair]])) for pair in pairs), default=1.0)
@@ -65,9 +65,10 @@ def of_entries(
             for place, part in zip(range(places[mode].start, places[mode].stop), parts, strict=False):
                 entries[states + place * count : states + (place + 1) * count, column] = part
     at: dict[str, int] = {}
-    groups = direct_terms([test.observation for test in likelihood.tests], modes.poles)
+    groups, _ = direct_terms([test.observation for test in likelihood.tests], inputs, modes)
     for (names, _), place in sorted(groups.items(), key=lambda item: len(item[0][1])):
-        at.update({name: place + i for i, name in enumerate(names)})
+        direct = [name for name in names if modes.direct[inputs.index(name)]]
+        at.update({name: place + i for i, name in enumerate(direct)})
     for c in range(channels):
         own = first + c * size
         entries[end + c * states + np.arange(states), own + np.arange(states)] = 1

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from abrace_sysid.fitting.condensed_lines import condensed
+from abrace_sysid.fitting.modes import LEAST_DELAY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,6 +25,9 @@ FASTEST = 8.0
 
 DEGENERATE = 1e-12
 """Share of a basis column that is independent of the others, below which two poles coincide."""
+
+LEAST_DAMPING = 1e-11
+"""Share of a parameter's own curvature below which the tests do not tell it from others."""
 
 REWEIGHTINGS = 8
 """Most fits of a channel that several tests share, each with the noise that the last one left over in each test."""
@@ -84,7 +88,7 @@ class Likelihood:
         if not (slow_enough & (modes.poles != 0)).all():
             return None
         tests = condensed(observations, inputs, modes)
-        parameters = modes.parameters()[-1][2].stop
+        parameters = modes.size
         channels = fit_channels(tests, parameters)
         if channels is None:
             return None
@@ -110,9 +114,13 @@ class Likelihood:
     def step(self, damping: float, fastest: float) -> NDArray[np.float64]:
         """Step of the parameters by Levenberg and Marquardt, shortened by `damping` of each one's own curvature.
 
-        A real pole that is as fast as can be told (`fastest`, [rad/s]) and would be faster stays where it is.
+        A real pole that is as fast as can be told (`fastest`, [rad/s]) and would be faster stays where it is, and so
+        does a delay of zero that would be less.
         """
         free = self.free
+        for i, column in self.modes.delay_columns().items():
+            if self.modes.delays[i] <= LEAST_DELAY and self.gradient[column] < 0:
+                free[column] = False
         for mode, direction, columns in self.modes.parameters():
             if direction is None and self.modes.poles[mode] == -fastest and self.gradient[columns.start] < 0:
                 free[columns] = False
@@ -120,13 +128,22 @@ class Likelihood:
         scaled = self.normal[np.ix_(free, free)] * np.outer(unit, unit)
         step = np.zeros(len(free))
         step[free] = unit * linalg.solve(
-            scaled + damping * np.eye(len(unit)), unit * self.gradient[free], assume_a="pos"
+            scaled + max(damping, LEAST_DAMPING) * np.eye(len(unit)), unit * self.gradient[free], assume_a="pos"
         )
         return step
 
     def size(self, step: NDArray[np.float64]) -> float:
         """Length of a step in standard deviations."""
         return float(np.sqrt(step @ self.normal @ step))
+
+    def inverse(self) -> NDArray[np.float64]:
+        """Of the normal matrix, over the parameters that are free; 0: fixed. What others can stand for is damped."""
+        free = np.ix_(self.free, self.free)
+        unit = 1 / np.sqrt(np.diag(self.normal)[self.free])
+        found = np.zeros_like(self.normal)
+        values, vectors = np.linalg.eigh(self.normal[free] * np.outer(unit, unit))
+        found[free] = (vectors / np.maximum(values, LEAST_DAMPING)) @ vectors.T * np.outer(unit, unit)
+        return found
 
 
 def fit_channels(tests: Sequence[CondensedLines], parameters: int) -> tuple[_Channel, ...] | None:
@@ -137,7 +154,18 @@ def fit_channels(tests: Sequence[CondensedLines], parameters: int) -> tuple[_Cha
     total = 1 + max(int(test.columns.max()) for test in tests)
     lines = np.array([len(test.measured) for test in tests])
     counts = np.sqrt([test.observation.weight for test in tests])
-    ends = np.cumsum([len(test.small) for test in tests])[:-1]
+    # the triangular factor has the basis in its first rows alone: what is below is orthogonal to it
+    sizes = [test.basis.shape[1] for test in tests]
+    ends = np.cumsum([*sizes, *(len(test.small) - size for test, size in zip(tests, sizes, strict=True))])
+    of_test = np.tile(np.arange(len(tests)), 2)
+    above = int(ends[len(tests) - 1])
+
+    def ordered(parts: Sequence[NDArray[np.float64]], relative: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rows of all tests over their relative noise: those of the bases first."""
+        weighted = [part / weight for part, weight in zip(parts, relative, strict=True)]
+        tops = [part[:size] for part, size in zip(weighted, sizes, strict=True)]
+        return np.concatenate([*tops, *(part[size:] for part, size in zip(weighted, sizes, strict=True))])
+
     one = _factor(tests, 1 / counts, total) if len(tests) == 1 else None
     found = []
     for c in range(tests[0].measured.shape[1]):
@@ -149,25 +177,23 @@ def fit_channels(tests: Sequence[CondensedLines], parameters: int) -> tuple[_Cha
             if factor is None:
                 return None
             q, r, scale = factor
-            weighted = np.concatenate([part / weight for part, weight in zip(small, relative, strict=True)])
-            projected = q.T @ weighted
-            left = weighted - q @ projected
-            power = np.array([piece @ piece for piece in np.split(left, ends)]) / lines
+            left = ordered(small, relative)
+            projected = q.T @ left[:above]
+            left[:above] -= q @ projected
+            power = np.zeros(len(tests))
+            for test, piece in zip(of_test, np.split(left, ends[:-1]), strict=True):
+                power[test] += piece @ piece
+            power /= lines
             level = np.maximum(relative * np.sqrt(power), np.finfo(float).tiny)
             if np.abs(level / level[0] / counts / relative - 1).max() < SAME_NOISE:
                 break
         coefficients = linalg.solve_triangular(r, projected) / scale
-        slopes = np.vstack(
-            [
-                test.parts[1] @ test.combination(coefficients, parameters) / weight
-                for test, weight in zip(tests, relative, strict=True)
-            ]
-        )
-        on_basis = q.T @ slopes
+        slopes = ordered([test.parts[1] @ test.combination(coefficients, parameters) for test in tests], relative)
+        on_basis = q.T @ slopes[:above]
         projection = linalg.solve_triangular(r, on_basis) / scale[:, None]
         unit = level[0]
-        slopes = (slopes - q @ on_basis) / unit
-        found.append(_Channel(coefficients, level**2, left / unit, slopes, projection, r * scale / unit))
+        slopes[:above] -= q @ on_basis
+        found.append(_Channel(coefficients, level**2, left / unit, slopes / unit, projection, r * scale / unit))
     return tuple(found)
 
 
@@ -177,8 +203,9 @@ def _factor(
     """Q, R and the columns' scales of the tests' bases one above the other, each over its relative noise."""
     blocks = []
     for test, weight in zip(tests, relative, strict=True):
-        block = np.zeros((len(test.small), total))
-        block[:, test.columns] = test.parts[0] / weight
+        rows = test.basis.shape[1]
+        block = np.zeros((rows, total))
+        block[:, test.columns] = test.parts[0][:rows] / weight
         blocks.append(block)
     above = np.vstack(blocks)
     scale = np.linalg.norm(above, axis=0)

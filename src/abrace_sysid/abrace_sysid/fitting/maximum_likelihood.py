@@ -37,9 +37,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from abrace_sysid.fitting.modes import Modes
     from abrace_sysid.fitting.observation import Observation
 
 ITERATIONS = 150
+
+FEW_LINES = 2000
+"""Tests of more than twice as many are first fitted at about these: what is found there is near."""
 
 CONVERGED = 0.01
 """A step that small against the standard deviations of the parameters ends the iterations."""
@@ -55,6 +59,7 @@ def fit_poles(
     fixed: NDArray[np.bool_] | None = None,
     most: int = ITERATIONS,
     joint: bool = False,
+    delays: NDArray[np.float64] | None = None,
 ) -> PoleEstimate:
     """The modes that make tests most likely, the same modes in all of them, with the covariance of their poles.
 
@@ -74,6 +79,9 @@ def fit_poles(
         Iterations.
     joint
         Whether the covariance of drives, shapes and direct terms is asked for too.
+    delays
+        (inputs,) [s] by which an input that has no direct terms acts later, to start from; 0: it does not, and does not
+        move. NaN: an input with direct terms; None: all have.
 
     Raises
     ------
@@ -88,21 +96,12 @@ def fit_poles(
             raise AbraceError(f"{observation.source}: poles {observation.poles}, expected within 0 to {len(poles) - 1}")
     inputs = tuple(dict.fromkeys(name for observation in observations for name in observation.inputs))
     where = ", ".join(dict.fromkeys(observation.source for observation in observations))
-    modes, unit = starting_modes(observations, inputs, poles, driven, fixed)
+    modes, unit = starting_modes(observations, inputs, poles, driven, fixed, delays)
     observations = [observation.in_units(dict(zip(inputs, unit, strict=True))) for observation in observations]
-    likelihood = Likelihood.at(observations, inputs, modes)
-    fastest = FASTEST / observations[0].samplings[0].sample_period
-    damping, converged, iterations = 1e-3, likelihood is None, 0
-    while likelihood is not None and not converged and iterations < most:
-        iterations += 1
-        step = likelihood.step(damping, fastest)
-        small = likelihood.size(step) < CONVERGED
-        after = Likelihood.at(observations, inputs, likelihood.modes.moved(step, fastest))
-        if after is not None and after.cost < likelihood.cost:
-            small = small or likelihood.cost - after.cost < INSIGNIFICANT
-            likelihood, damping, converged = after, damping / 10, small
-        else:
-            damping, converged = 10 * max(damping, 1e-5), small and damping < 1e-2
+    if max(len(observation.z) for observation in observations) > 2 * FEW_LINES:
+        near, converged, _ = _climbed([one.thinned(FEW_LINES) for one in observations], inputs, modes, most)
+        modes = near.modes if near is not None and converged else modes
+    likelihood, converged, iterations = _climbed(observations, inputs, modes, most)
     if likelihood is None or not converged:
         raise AbraceError(
             f"{where}: no maximum of the likelihood found in {iterations} steps from the poles {_named(poles)} rad/s; "
@@ -124,10 +123,31 @@ def fit_poles(
         observations[0].outputs,
         found.drive / unit,
         _shapes(found.poles, coefficients),
-        _direct(observations, inputs, found.poles, coefficients) / unit,
+        _direct(observations, inputs, found, coefficients) / unit,
+        np.where(found.direct, np.nan, found.delays),
         inflation(likelihood, of_modes),
         of_entries(likelihood, spread, inputs, unit) if joint else None,
     )
+
+
+def _climbed(
+    observations: Sequence[Observation], inputs: Sequence[str], modes: Modes, most: int
+) -> tuple[Likelihood | None, bool, int]:
+    """The likelihood at its maximum near some modes, whether it is one, and the steps taken."""
+    likelihood = Likelihood.at(observations, inputs, modes)
+    fastest = FASTEST / observations[0].samplings[0].sample_period
+    damping, converged, iterations = 1e-3, likelihood is None, 0
+    while likelihood is not None and not converged and iterations < most:
+        iterations += 1
+        step = likelihood.step(damping, fastest)
+        small = likelihood.size(step) < CONVERGED
+        after = Likelihood.at(observations, inputs, likelihood.modes.moved(step, fastest))
+        if after is not None and after.cost < likelihood.cost:
+            small = small or likelihood.cost - after.cost < INSIGNIFICANT
+            likelihood, damping, converged = after, damping / 10, small
+        else:
+            damping, converged = 10 * max(damping, 1e-5), small and damping < 1e-2
+    return likelihood, converged, iterations
 
 
 def _shapes(poles: NDArray[np.complex128], coefficients: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -140,14 +160,14 @@ def _shapes(poles: NDArray[np.complex128], coefficients: NDArray[np.float64]) ->
 
 
 def _direct(
-    observations: Sequence[Observation], inputs: Sequence[str], poles: NDArray[np.complex128], coefficients: NDArray
+    observations: Sequence[Observation], inputs: Sequence[str], modes: Modes, coefficients: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """(channels, inputs) direct terms, of each input those of the test that shows most modes."""
     direct = np.zeros((len(coefficients), len(inputs)))
-    groups = direct_terms(observations, poles)
+    groups, _ = direct_terms(observations, inputs, modes)
     for (names, _), first in sorted(groups.items(), key=lambda item: len(item[0][1])):
-        for i, name in enumerate(names):
-            direct[:, inputs.index(name)] = coefficients[:, first + i]
+        own = [i for i in map(inputs.index, names) if modes.direct[i]]
+        direct[:, own] = coefficients[:, first : first + len(own)]
     return direct
 
 

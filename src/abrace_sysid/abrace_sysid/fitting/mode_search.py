@@ -155,14 +155,17 @@ def prediction(estimate: PoleEstimate, observation: Observation) -> tuple[float,
     z = observation.z
     named = [estimate.inputs.index(name) for name in observation.inputs]
     simulated = observation.excitation @ estimate.direct[:, named].T
+    delays = np.nan_to_num(estimate.delays)[named]
     transients: list[NDArray[np.complex128]] = []
     for mode, pole in enumerate(estimate.poles):
         sides = sides_of(pole)
         states = [
             np.column_stack(
                 [
-                    excitation * sampling.response(side, z)[0]
-                    for sampling, excitation in zip(observation.samplings, observation.excitation.T, strict=True)
+                    excitation * sampling.response(side, z, delay)[0]
+                    for sampling, excitation, delay in zip(
+                        observation.samplings, observation.excitation.T, delays, strict=True
+                    )
                 ]
             )
             for side in sides

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+LEAST_DELAY, MOST_DELAY = 1e-8, 0.1
+"""Of an input whose delay is sought [s]."""
+
+
 @dataclass(frozen=True)
 class Modes:
     """Poles, and what each input drives of them.
@@ -28,12 +32,22 @@ class Modes:
         (poles, inputs) whether an input drives a mode.
     fixed
         (poles,) whether a pole stays where it is.
+    delays
+        (inputs,) [s], by which each input acts later.
+    delayed
+        (inputs,) whether the delay of an input is a parameter.
+    direct
+        (inputs,) whether an input has direct terms. (To a sampled rig a delay of less than a sample period is the same
+        as such a term, so that there is either one or the other.)
     """
 
     poles: NDArray[np.complex128]
     drive: NDArray[np.complex128]
     driven: NDArray[np.bool_]
     fixed: NDArray[np.bool_]
+    delays: NDArray[np.float64]
+    delayed: NDArray[np.bool_]
+    direct: NDArray[np.bool_]
 
     def directions(self, mode: int) -> NDArray[np.complex128]:
         """(inputs, directions) orthonormal, orthogonal to the mode's drive: where it can move; real of a real pole."""
@@ -55,9 +69,24 @@ class Modes:
                 end += size
         return found
 
+    @property
+    def size(self) -> int:
+        """Number of parameters: those of `parameters`, then the delays that are free."""
+        return self.parameters()[-1][2].stop + int(self.delayed.sum())
+
+    def delay_columns(self) -> dict[int, int]:
+        """Of each input whose delay is a parameter its column."""
+        end = self.parameters()[-1][2].stop
+        return {int(i): end + k for k, i in enumerate(np.flatnonzero(self.delayed))}
+
     def moved(self, step: NDArray[np.float64], fastest: float) -> Modes:
-        """After a step of the parameters; real poles stop at `fastest`, a pair that crosses the real axis is NaN."""
-        poles, drive = self.poles.copy(), self.drive.copy()
+        """After a step of the parameters; real poles stop at `fastest`, a pair that crosses the real axis is NaN.
+
+        Delays stay between LEAST_DELAY and MOST_DELAY.
+        """
+        poles, drive, delays = self.poles.copy(), self.drive.copy(), self.delays.copy()
+        for i, column in self.delay_columns().items():
+            delays[i] = np.clip(delays[i] + step[column], LEAST_DELAY, MOST_DELAY)
         for mode, direction, columns in self.parameters():
             parts = step[columns]
             by = complex(*parts)
@@ -69,4 +98,4 @@ class Modes:
                     poles[mode] = np.nan
             else:
                 drive[mode] += by * self.directions(mode)[:, direction]
-        return replace(self, poles=poles, drive=drive / np.linalg.norm(drive, axis=1, keepdims=True))
+        return replace(self, poles=poles, drive=drive / np.linalg.norm(drive, axis=1, keepdims=True), delays=delays)

@@ -82,6 +82,12 @@ class Observation:
         """The same test with its inputs in other units; `unit` is the size of each by name."""
         return replace(self, excitation=self.excitation / np.array([unit[name] for name in self.inputs]))
 
+    def thinned(self, lines: int) -> Observation:
+        """The same test at every second, third ... line, so that about `lines` are left: each obeys the same model."""
+        chosen = slice(None, None, max(1, len(self.z) // lines))
+        of_lines = {name: getattr(self, name)[chosen] for name in ("z", "excitation", "measured", "noise_level")}
+        return replace(self, **of_lines)
+
     def with_noise(self, level: NDArray[np.float64]) -> Observation:
         """The same test with another noise `level` (lines,)."""
         return replace(self, noise_level=level)

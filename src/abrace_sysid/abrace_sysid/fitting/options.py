@@ -23,17 +23,19 @@ class IdentificationOptions:
     table_band, command_band
         [Hz] within which the tests are used; they must be excited throughout.
     command_order
-        Oscillating poles of the response to the command (A2), even.
+        Oscillating poles of the response to the commands (A2), even; 0: as many as the tests show, by description
+        length. The other fits than `maximum_likelihood` have to be given it.
     servo_lag
-        Of the actuators, from the bench test [s] (Fig. 2).
+        Of the actuators, from a bench test [s] (Fig. 2), with which what the tests show is compared; 0: there was none.
+        The other fits than `maximum_likelihood`, which do not measure it, take it as it is.
     reduced_order
-        States of the reduced model.
+        States of the reduced model; 0: as many as have a Hankel singular value that counts.
     """
 
     transfer_function: TransferFunctionOptions = field(default_factory=TransferFunctionOptions)
     fit: str = "maximum_likelihood"
     table_band: tuple[float, float] = (0.3, 10.0)
     command_band: tuple[float, float] = (0.3, 30.0)
-    command_order: int = 12
-    servo_lag: float = 0.0008
-    reduced_order: int = 8
+    command_order: int = 0
+    servo_lag: float = 0.0
+    reduced_order: int = 0

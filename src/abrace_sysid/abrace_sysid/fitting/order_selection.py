@@ -1,16 +1,20 @@
-"""The number of poles from data: fits of several orders compared by description length."""
+"""The number of poles from data: fits of several orders compared by description length.
+
+Orders are tried on a part of the lines, each of which obeys the same model; what is chosen is then fitted to all.
+"""
 
 from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from abrace_core.errors import AbraceError
 from abrace_sysid.fitting.maximum_likelihood import fit_poles
-from abrace_sysid.fitting.vector_fitting import starting_poles
+from abrace_sysid.fitting.vector_fitting import HEAVY_DAMPING, starting_poles
+from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,8 +22,47 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_sysid.fitting.observation import Observation
-    from abrace_sysid.fitting.pole_estimate import PoleEstimate
-    from abrace_sysid.spectra.frequency_response import FrequencyResponse
+    from abrace_sysid.fitting.pole_estimate import PoleEstimate, PoleInterval
+
+SEARCH_LINES = 1500
+"""Of a test, about which orders are tried."""
+
+TRIAL_ITERATIONS = 30
+"""Most steps of a trial: an order that the tests have takes about ten."""
+
+IN_VAIN = 2
+"""So many orders in a row that are no better end the search."""
+
+MOST_FAILURES = 3
+"""So many at first that cannot be fitted, likewise."""
+
+MOST_MORE = 12
+"""Pairs that are tried beyond the first order, at most."""
+
+FIRST_DELAY = 0.25
+"""Of a servo, in sample periods, to start from."""
+
+
+class Order(NamedTuple):
+    """A number of poles, and what a servo is.
+
+    Parameters
+    ----------
+    pairs
+        Oscillating poles.
+    reals
+        Real poles of each servo: 0; 1, a slow one (integral action); 2, and a fast one (its lag).
+    servo
+        "direct": a command has direct terms too; "lag": it acts through its servo alone; "delay": and later by a time
+        of its own beside the lag.
+    coupled
+        Whether all commands drive each slow pole; otherwise its own alone, as of servos that are alike.
+    """
+
+    pairs: int
+    reals: int = 0
+    servo: Literal["direct", "lag", "delay"] = "direct"
+    coupled: bool = True
 
 
 @dataclass(frozen=True)
@@ -28,25 +71,25 @@ class OrderTrial:
 
     Parameters
     ----------
-    pairs, reals
-        Of poles.
+    order
+        That was tried.
     estimate
         Of the poles; None if the fit failed.
     reason
         Why it failed.
     """
 
-    pairs: int
-    reals: int
+    order: Order
     estimate: PoleEstimate | None
     reason: str = ""
 
 
 def try_orders(
     observations: Sequence[Observation],
-    measured: FrequencyResponse,
-    orders: Sequence[tuple[int, int]],
+    measured: FrequencyResponse | Sequence[FrequencyResponse],
+    orders: Sequence[Order | tuple[int, int]],
     groups: int = 1,
+    most: int = TRIAL_ITERATIONS,
 ) -> list[OrderTrial]:
     """Fits of one test, or of repeated ones, with each order.
 
@@ -55,30 +98,38 @@ def try_orders(
     observations
         The tests.
     measured
-        Its transfer functions, for starting poles.
+        Its transfer functions, for starting poles; of several those of the first from which a fit is found.
     orders
-        (pairs, real poles of each servo) to try.
+        To try; of two numbers, pairs and reals.
     groups
         Servos; the lag of each, its second real pole, is driven by its own command alone, in the order of the inputs.
+    most
+        Iterations of a fit.
     """
-    most = max((reals for _, reals in orders), default=0)
+    several = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
+    starting = functools.cache(lambda i, pairs: starting_poles(several[i], pairs, 2, groups))
 
-    @functools.cache
-    def start(pairs: int) -> NDArray[np.complex128]:
-        return starting_poles(measured, pairs, most, groups)
+    def fitted(order: Order, i: int) -> OrderTrial:
+        try:
+            poles = starting(i, order.pairs)[: order.pairs + order.reals * groups]
+            driven = np.ones((len(poles), groups), dtype=np.bool_)
+            if order.reals == 2:
+                driven[-groups:] = np.eye(groups)
+            if order.reals and not order.coupled:
+                driven[order.pairs : order.pairs + groups] = np.eye(groups)
+            first = {"direct": np.nan, "lag": 0.0, "delay": FIRST_DELAY * several[i].sample_period}
+            delays = np.full(groups, first[order.servo])
+            return OrderTrial(order, fit_poles(observations, poles, driven, most=most, delays=delays))
+        except AbraceError as error:
+            return OrderTrial(order, None, str(error))
 
     trials = []
-    for pairs, reals in orders:
-        try:
-            poles = start(pairs)[: pairs + reals * groups]
-            driven = np.ones((len(poles), groups), dtype=np.bool_)
-            if reals == 2:
-                driven[-groups:] = np.eye(groups)
-            estimate = fit_poles(observations, poles, driven)
-        except AbraceError as error:
-            trials.append(OrderTrial(pairs, reals, None, str(error)))
-        else:
-            trials.append(OrderTrial(pairs, reals, estimate))
+    for order in (Order(*numbers) for numbers in orders):
+        for i in range(len(several)):
+            trial = fitted(order, i)
+            if trial.estimate is not None:
+                break
+        trials.append(trial)
     return trials
 
 
@@ -92,6 +143,113 @@ def best_order(trials: Sequence[OrderTrial]) -> PoleEstimate:
     """
     estimates = [trial.estimate for trial in trials if trial.estimate is not None]
     if not estimates:
-        reasons = "; ".join(f"{trial.pairs} pairs and {trial.reals} real poles: {trial.reason}" for trial in trials)
+        reasons = "; ".join(
+            f"{trial.order.pairs} pairs and {trial.order.reals} real poles: {trial.reason}" for trial in trials
+        )
         raise AbraceError(f"no order could be fitted: {reasons or 'none was tried'}")
     return min(estimates, key=lambda estimate: estimate.mdl)
+
+
+def search_order(
+    observations: Sequence[Observation],
+    measured: FrequencyResponse | Sequence[FrequencyResponse],
+    pairs: int,
+    forms: Sequence[Order],
+    groups: int = 1,
+    fixed: bool = False,
+) -> PoleEstimate:
+    """The fit with the number of pairs, and the form of the servos, of the least description length.
+
+    Parameters
+    ----------
+    observations, measured, groups
+        As of `try_orders`.
+    pairs
+        To begin with: those of the building.
+    forms
+        Of the servos: the first that can be fitted finds the number of pairs, the others are then tried with it.
+    fixed
+        Whether the number of pairs is given.
+
+    Returns
+    -------
+    PoleEstimate
+        Of all lines.
+
+    Raises
+    ------
+    AbraceError
+        If no order can be fitted.
+    """
+    lines = (measured if isinstance(measured, FrequencyResponse) else measured[0]).omega
+    few = [observation.thinned(SEARCH_LINES) for observation in observations]
+    tried: list[OrderTrial] = []
+    found = None
+    # the building's modes and more, whatever the servos are; fewer only if that leads nowhere
+    for first in (pairs,) if fixed else range(pairs, 0, -1):
+        for form in forms:
+            trials = _pairs_with(few, measured, form._replace(pairs=first), groups, fixed or first < pairs, lines)
+            tried += trials
+            # an order with a pair that is no mode is taken only where it was asked for
+            fit = [one for one in trials if one.estimate and (fixed or not no_modes(one.estimate, lines))]
+            if fit:
+                found = min(fit, key=_description)
+                break
+        if found is not None:
+            break
+    if found is None:
+        best_order(tried)
+        raise AbraceError(
+            f"{observations[0].source}: every order has pairs that are no modes, expected a longer or stronger test"
+        )
+    best = found
+    for form in forms:
+        # a servo with fewer poles than one that was worse is worse
+        if form[1:] == found.order[1:] or form.reals < best.order.reals - 1:
+            continue
+        (trial,) = try_orders(few, measured, [form._replace(pairs=found.order.pairs)], groups)
+        if _description(trial) < _description(best) and (fixed or not no_modes(trial.estimate, lines)):
+            best = trial
+    near = best.estimate
+    assert near is not None
+    return fit_poles(observations, near.poles, near.drive != 0, delays=near.delays)
+
+
+def no_modes(estimate: PoleEstimate | None, lines: NDArray[np.float64]) -> list[PoleInterval]:
+    """The pairs of an `estimate` that are no modes: outside the band of its `lines` [rad/s], or damped too much."""
+    pairs = estimate.pairs() if estimate else []
+    low, high = lines[0], lines[-1]
+    return [pair for pair in pairs if pair.damping > HEAVY_DAMPING or not low < pair.frequency < high]
+
+
+def _pairs_with(
+    observations: Sequence[Observation],
+    measured: FrequencyResponse | Sequence[FrequencyResponse],
+    first: Order,
+    groups: int,
+    fixed: bool,
+    lines: NDArray[np.float64],
+) -> list[OrderTrial]:
+    """Trials with rising numbers of pairs, until more are no better; with fewer where the first is the best."""
+    if fixed:
+        return try_orders(observations, measured, [first], groups)
+    trials: list[OrderTrial] = []
+    best, least = 0, np.inf
+    for numbers in (range(first.pairs, first.pairs + MOST_MORE), range(first.pairs - 1, 0, -1)):
+        in_vain = 0
+        for pairs in numbers if best in (0, first.pairs) else ():
+            (trial,) = try_orders(observations, measured, [first._replace(pairs=pairs)], groups)
+            trials.append(trial)
+            if _description(trial) < least and not no_modes(trial.estimate, lines):
+                best, least, in_vain = pairs, _description(trial), 0
+            else:
+                in_vain += 1
+            if in_vain == (IN_VAIN if best else MOST_FAILURES):
+                break
+        if not best:
+            break
+    return trials
+
+
+def _description(trial: OrderTrial) -> float:
+    return trial.estimate.mdl if trial.estimate else np.inf

@@ -39,7 +39,7 @@ class Sampling:
     hold: InputHold = "zero"
 
     def response(
-        self, pole: complex, z: NDArray[np.complex128]
+        self, pole: complex, z: NDArray[np.complex128], delay: float = 0.0
     ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """F_p and its derivative with respect to p.
 
@@ -49,8 +49,12 @@ class Sampling:
             p [rad/s], not 0.
         z
             (lines,) exp(i w T).
+        delay
+            By which a held input acts later [s]; of other inputs there is none.
         """
         period = self.sample_period
+        if delay:
+            return self._delayed(pole, z, delay)
         if self.hold == "band":
             response = np.asarray(1 / (1j * np.angle(z) / period - pole), dtype=np.complex128)
             return response, response * response
@@ -65,6 +69,21 @@ class Sampling:
         response = ((step - ramp) + ramp * z) * below
         return response, ((step_slope - ramp_slope) + ramp_slope * z + period * a * response) * below
 
+    def _delayed(
+        self, pole: complex, z: NDArray[np.complex128], delay: float
+    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """`response` to a held input that changes within a sample period."""
+        period = self.sample_period
+        samples = whole_samples(delay, period)
+        a, recent = np.exp(pole * period), (samples + 1) * period - delay
+        before = np.exp(pole * recent)
+        first, first_slope = _step(pole, recent)
+        second = (a - before) / pole
+        second_slope = (period * a - recent * before - second) / pole
+        below, later = z ** -float(samples) / (z - a), 1 / z
+        response = (first + second * later) * below
+        return response, (first_slope + second_slope * later) * below + period * a * response / (z - a)
+
     def transient(
         self, pole: complex, z: NDArray[np.complex128]
     ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
@@ -73,6 +92,11 @@ class Sampling:
         below = 1 / (z - a)
         response = z * below
         return response, self.sample_period * a * response * below
+
+
+def whole_samples(delay: float, period: float) -> int:
+    """Whole sample periods of `period` [s] in a `delay` [s]."""
+    return int(delay // period)
 
 
 def _step(pole: complex, span: float) -> tuple[complex, complex]:

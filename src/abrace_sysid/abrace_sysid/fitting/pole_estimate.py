@@ -71,6 +71,8 @@ class PoleEstimate:
         (channels, poles) complex: the outputs are the real part of shapes q, and
     direct
         (channels, inputs) of the inputs themselves.
+    delays
+        (inputs,) by which each acts later [s]; NaN of those with direct terms.
     inflation
         Variance of a pair over what it would be if channels and lines were independent, of the pair with most of it.
     joint
@@ -89,6 +91,7 @@ class PoleEstimate:
     drive: NDArray[np.complex128]
     shapes: NDArray[np.complex128]
     direct: NDArray[np.float64]
+    delays: NDArray[np.float64]
     inflation: float = 1.0
     joint: NDArray[np.float64] | None = None
 

@@ -1,7 +1,7 @@
 """Poles of the table test, of the command test and of both, by a method chosen by name.
 
-maximum_likelihood  every channel, leakage and the servo's real poles in the model, with confidence intervals; the order
-                    of the table test from data, by description length
+maximum_likelihood  every channel, leakage, the servos' real poles and delays in the model, with confidence intervals;
+                    the orders from data, by description length
 vector_fitting      common poles of all channels of the transfer functions
 sk                  Sanathanan-Koerner iterations on the top floor's acceleration, weighted by its uncertainty
 paper               Eqs. (1) and (2) on the top floor's acceleration, unweighted, the sign in Eq. (1) corrected
@@ -19,12 +19,13 @@ import numpy as np
 from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import pole_table
+from abrace_sysid.fitting.building_modes import building_modes, same_modes
 from abrace_sysid.fitting.covariance import LEAST_PIECES
 from abrace_sysid.fitting.curve_fit import fit_rational, fit_sanathanan_koerner, require_stable, uncertainty_weights
 from abrace_sysid.fitting.maximum_likelihood import fit_poles
 from abrace_sysid.fitting.mode_search import weighed
 from abrace_sysid.fitting.observation import Observation
-from abrace_sysid.fitting.order_selection import best_order, try_orders
+from abrace_sysid.fitting.order_selection import Order, no_modes, search_order
 from abrace_sysid.fitting.pole_estimate import PoleInterval
 from abrace_sysid.fitting.slow_pole import slow_real_pole
 from abrace_sysid.fitting.vector_fitting import modes_of, vector_fitting
@@ -51,15 +52,19 @@ class PoleFit:
     Parameters
     ----------
     table
-        (2 floors,) A1: the building's poles from the table test [rad/s], conjugates too, slowest first.
+        (2 modes,) A1: the building's poles from the table test [rad/s], conjugates too, slowest first.
     command
-        (command_order,) A2 likewise, from the command test.
+        (2 pairs,) A2: all pairs of the command test likewise.
     of_model
         One set for both inputs, with the servo's slow real pole, for the consistent model.
     table_pairs, command_pairs, common_pairs
         Frequency and damping of the pairs with their standard deviations; NaN where the method gives none.
+    building
+        (2 floors,) of the poles of the command test those that are the building's.
     estimate
         Maximum likelihood's modes of all tests: a model; None of another method.
+    warnings
+        On the modes, one sentence each.
     """
 
     table: NDArray[np.complex128]
@@ -68,7 +73,9 @@ class PoleFit:
     table_pairs: tuple[PoleInterval, ...]
     command_pairs: tuple[PoleInterval, ...]
     common_pairs: tuple[PoleInterval, ...]
+    building: NDArray[np.complex128]
     estimate: PoleEstimate | None = None
+    warnings: tuple[str, ...] = ()
 
 
 def fit_poles_of(
@@ -112,6 +119,7 @@ def fit_poles_of(
         _without_deviation(building),
         _without_deviation(everything),
         _without_deviation(common),
+        _with_conjugates(everything[:floors]),
     )
 
 
@@ -123,21 +131,19 @@ def _maximum_likelihood(
     progress: Callable[[str, float], None],
 ) -> PoleFit:
     """Table and commands alone, then both with one set of modes: the commands', of which the table shows some."""
-    top, highest = (2 * np.pi * band[1] for band in (options.table_band, options.command_band))
+    top, highest = (data.responses[0].omega[-1] for data in (table, commands[0]))
     progress("maximum likelihood, table", 0.5)
-    from_table = _observations([table])
-    orders = [(pairs, reals) for pairs in (floors, floors + 1) for reals in (0, 1)]
-    trials = try_orders(from_table, table.responses[0], orders)
-    from_table, of_table = _with_noise_as_found(from_table, best_order(trials))
-    _require_modes(of_table, floors, table.source)
+    from_table, measured = _observations([table]), table.responses[0]
+    of_table = search_order(from_table, measured, floors, [Order(0, 1), Order(0, 0)])
+    from_table, of_table = _with_noise_as_found(from_table, of_table)
     progress("maximum likelihood, command", 0.6)
-    from_command, pairs, groups = _observations(commands), options.command_order // 2, len(commands)
-    measured = side_by_side([data.responses[0] for data in commands])
-    trials = try_orders(from_command, measured, [(pairs, 2)], groups)
-    if trials[0].estimate is None:  # a servo without a slow pole within the band, or without lag
-        trials += try_orders(from_command, measured, [(pairs, 1), (pairs, 0)], groups)
-    from_command, of_command = _with_noise_as_found(from_command, best_order(trials))
-    _require_modes(of_command, floors, ", ".join(data.source for data in commands))
+    from_command, groups = _observations(commands), len(commands)
+    responses = [data.responses[0] for data in commands]
+    # multisines share the lines: neighbours are too far apart to be read off between them
+    together = responses if commands[0].periodic else [side_by_side(responses)]
+    given = options.command_order // 2
+    of_command = search_order(from_command, together, given or floors, _servos(groups), groups, given > 0)
+    from_command, of_command = _with_noise_as_found(from_command, of_command)
 
     progress("maximum likelihood, both", 0.75)
     poles = of_command.poles
@@ -145,17 +151,25 @@ def _maximum_likelihood(
     shown = tuple(int(i) for i in np.flatnonzero((np.abs(poles) <= top) & ~lags))
     # each lag is driven by the command that drives it alone, and not by the table
     driven = np.hstack([np.ones((len(poles), 1), dtype=np.bool_), of_command.drive != 0])
+    delays = np.concatenate([[np.nan], of_command.delays])
     tests = [*(replace(one, poles=shown) for one in from_table), *from_command]
-    of_both = fit_poles(tests, poles, driven, joint=True)
+    of_both = fit_poles(tests, poles, driven, joint=True, delays=delays)
+    building = building_modes(of_both, floors)
+    if not len(building):
+        raise AbraceError(f"{table.source}: no pair is a mode of the building, expected up to {floors}")
+    in_table, in_command = (same_modes(of_both, building, other) for other in (of_table, of_command))
     reals = _reals(of_both.poles)
+    heavy = no_modes(of_both, responses[0].omega)
     return PoleFit(
-        _with_conjugates(_upper(of_table.poles)[:floors]),
+        _with_conjugates(of_table.poles[in_table[in_table >= 0]]),
         _with_conjugates(_upper(of_command.poles)),
         np.concatenate([_with_conjugates(_upper(of_both.poles)), reals[np.abs(reals) <= highest]]),
-        tuple(of_table.pairs()[:floors]),
+        _pairs_at(of_table, in_table),
         tuple(of_command.pairs()),
-        tuple(of_both.pairs()),
+        tuple(pair for pair in of_both.pairs() if pair not in heavy),
+        _with_conjugates(of_command.poles[in_command[in_command >= 0]]),
         of_both,
+        _remarks(table, of_both, building, in_table, heavy, floors),
     )
 
 
@@ -172,8 +186,47 @@ def _with_noise_as_found(
     found = list(observations)
     if observations[0].transient or len(observations) >= LEAST_PIECES:
         found = weighed(observations, estimate, NEIGHBOURS)
-    again = fit_poles(found, estimate.poles, estimate.drive != 0)
+    again = fit_poles(found, estimate.poles, estimate.drive != 0, delays=estimate.delays)
     return [replace(one, weight=1 / again.inflation) for one in found], again
+
+
+def _servos(groups: int) -> list[Order]:
+    """Forms of the servos: with slow pole, lag and delay, then without."""
+    forms = [Order(0, 2, "delay", groups == 1), Order(0, 2, "lag", groups == 1), Order(0, 2), Order(0, 1), Order(0, 0)]
+    return forms if groups == 1 else [*forms, Order(0, 2, "delay")]
+
+
+def _pairs_at(estimate: PoleEstimate, places: NDArray[np.int64]) -> tuple[PoleInterval, ...]:
+    """Frequency and damping of the pairs at these places among the poles; -1: none."""
+    frequencies = np.abs(estimate.poles[places[places >= 0]])
+    return tuple(pair for pair in estimate.pairs() if np.isclose(pair.frequency, frequencies, rtol=1e-12).any())
+
+
+def _remarks(
+    table: TestData,
+    estimate: PoleEstimate,
+    building: NDArray[np.int64],
+    in_table: NDArray[np.int64],
+    heavy: Sequence[PoleInterval],
+    floors: int,
+) -> tuple[str, ...]:
+    """What a person has to know of the modes."""
+    found = []
+    if len(building) < floors:
+        found.append(
+            f"{len(building)} modes of the building are found, of {floors} floors: a wider band, a longer or a "
+            "stronger test may show the others"
+        )
+    missed = [f"{abs(estimate.poles[mode]):.4g}" for mode, place in zip(building, in_table, strict=True) if place < 0]
+    if missed:
+        found.append(
+            f"{table.source}: does not show the building's mode at {', '.join(missed)} rad/s: expected a table_band "
+            "beyond it"
+        )
+    named = [f"{pair.frequency:.4g} rad/s, damping {pair.damping:.0%}" for pair in heavy]
+    if named:
+        found.append(f"command_order: the pairs at {'; '.join(named)} are no modes, and left out of the poles")
+    return tuple(found)
 
 
 def side_by_side(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
@@ -241,11 +294,6 @@ def _ratio_of_polynomials(
     if options.fit == "paper":
         return fit_rational(one.omega, g, order, order).poles()
     return fit_sanathanan_koerner(one.omega, g, order, order, uncertainty_weights(g, sigma)).poles()
-
-
-def _require_modes(estimate: PoleEstimate, floors: int, source: str) -> None:
-    if len(estimate.pairs()) < floors:
-        raise AbraceError(f"{source}: {len(estimate.pairs())} oscillating pairs, expected at least {floors}")
 
 
 def _upper(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
     from abrace_sysid.fitting.observation import Observation
 
+COINCIDENT = 1e-5
+"""Of the basis' singular values, over the greatest: what poles that coincide, of equal servos, share is shared out."""
+
 
 def starting_modes(
     observations: Sequence[Observation],
@@ -25,6 +28,7 @@ def starting_modes(
     poles: NDArray[np.complex128],
     driven: NDArray[np.bool_] | None = None,
     fixed: NDArray[np.bool_] | None = None,
+    delays: NDArray[np.float64] | None = None,
 ) -> tuple[Modes, NDArray[np.float64]]:
     """Modes with these poles, and a unit for each input in which all of them drive the modes alike.
 
@@ -40,6 +44,9 @@ def starting_modes(
         (poles, inputs) which inputs can drive which modes; None: all that the tests show.
     fixed
         (poles,) which poles stay where they are; None: none.
+    delays
+        (inputs,) [s] by which an input that has no direct terms acts later, to start from; 0: it does not, and does not
+        move. NaN: an input with direct terms; None: all have.
 
     Returns
     -------
@@ -47,12 +54,15 @@ def starting_modes(
         In these units; (inputs,).
     """
     channels = observations[0].measured.shape[1]
+    direct = np.ones(len(inputs), dtype=np.bool_) if delays is None else np.isnan(delays)
+    delays = np.zeros(len(inputs)) if delays is None else np.nan_to_num(delays)
     shows = np.zeros((len(poles), len(inputs)), dtype=np.bool_)
     residues = np.zeros((channels, len(poles), len(inputs)), dtype=np.complex128)
     levels = np.zeros(channels)
     for observation in observations:
         shown = list(observation.shown(poles))
-        of_inputs, noise = _residues(observation, poles[shown])
+        later = delays[[inputs.index(name) for name in observation.inputs]]
+        of_inputs, noise = _residues(observation, poles[shown], later)
         levels += np.log(noise) - np.log(noise).mean()
         for name, of_input in zip(observation.inputs, np.moveaxis(of_inputs, 2, 0), strict=True):
             shows[shown, inputs.index(name)] = True
@@ -71,19 +81,19 @@ def starting_modes(
         length = np.linalg.norm(drive[mode])
         drive[mode] = drive[mode] / length if length > 0 else driven[mode] / np.sqrt(driven[mode].sum())
     fixed = np.zeros(len(poles), dtype=np.bool_) if fixed is None else fixed
-    return Modes(poles, drive, driven, fixed), unit
+    return Modes(poles, drive, driven, fixed, delays, delays > 0, direct), unit
 
 
 def _residues(
-    observation: Observation, poles: NDArray[np.complex128]
+    observation: Observation, poles: NDArray[np.complex128], delays: NDArray[np.float64]
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
     """(channels, poles, inputs) residues of each input alone, and (channels,) rms of what they leave over."""
     z, count = observation.z, len(observation.inputs)
     basis: list[NDArray[np.complex128]] = []
     for pole in poles:
         sides = sides_of(pole)
-        for sampling, drive in zip(observation.samplings, observation.excitation.T, strict=True):
-            basis += combined([(drive * sampling.response(side, z)[0])[:, None] for side in sides], np.ones(1))
+        for sampling, drive, delay in zip(observation.samplings, observation.excitation.T, delays, strict=True):
+            basis += combined([(drive * sampling.response(side, z, delay)[0])[:, None] for side in sides], np.ones(1))
     basis += list(observation.excitation.T)
     if observation.transient:
         for pole in poles:
@@ -93,7 +103,7 @@ def _residues(
     columns, measured = stacked(np.column_stack(basis) * weight), stacked(observation.measured * weight)
     scale = np.linalg.norm(columns, axis=0)
     columns = columns / np.where(scale > 0, scale, 1.0)
-    coefficients = np.linalg.lstsq(columns, measured, rcond=None)[0]
+    coefficients = np.linalg.lstsq(columns, measured, rcond=COINCIDENT)[0]
     noise = np.sqrt(np.mean((measured - columns @ coefficients) ** 2, axis=0))
     coefficients = (coefficients / np.where(scale > 0, scale, 1.0)[:, None]).T
     found = np.zeros((len(coefficients), len(poles), count), dtype=np.complex128)

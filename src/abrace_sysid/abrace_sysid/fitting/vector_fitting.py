@@ -33,6 +33,9 @@ START_ITERATIONS, START_LINES = 10, 3000
 CONVERGED = 1e-6
 """Relative movement of every pole that ends the iterations."""
 
+START_CHANNELS = 16
+"""Channels, or sums of more channels, that starting poles are looked for in."""
+
 START_DAMPING = 0.01
 
 HEAVY_DAMPING = 0.3
@@ -163,7 +166,7 @@ def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0, grou
     if pairs < 1 or not 0 <= reals <= 2:
         raise AbraceError(f"starting poles: {pairs} pairs and {reals} real poles, expected 1 or more, and 0 to 2")
     found = np.zeros(0, dtype=np.complex128)
-    measured = thinned(measured, START_LINES)
+    measured = _strongest_channels(thinned(measured, START_LINES))
     for order in range(2 * pairs, 2 * pairs + MORE * 2 + 1):
         # by each line's uncertainty: good enough to start from, and robust where a short test's peaks are biased
         weights = uncertainty_weights(measured.response, measured.sigma)
@@ -195,6 +198,23 @@ def thinned(measured: FrequencyResponse, lines: int) -> FrequencyResponse:
     return replace(
         measured, omega=measured.omega[chosen], response=measured.response[chosen], sigma=measured.sigma[chosen]
     )
+
+
+def _strongest_channels(measured: FrequencyResponse) -> FrequencyResponse:
+    """Sums of channels that hold most of what all of them show: they have the same poles, and few are enough.
+
+    Each channel counts by its response over its noise.
+    """
+    if len(measured.outputs) <= START_CHANNELS:
+        return measured
+    noise = np.sqrt(np.mean(measured.sigma**2, axis=0))
+    unit = np.maximum(noise, 1e-9 * np.sqrt(np.mean(np.abs(measured.response) ** 2, axis=0)))
+    unit[unit == 0] = 1.0
+    scaled = measured.response / unit
+    share = np.linalg.svd(np.vstack([scaled.real, scaled.imag]), full_matrices=False)[2][:START_CHANNELS].T
+    sigma = np.sqrt((measured.sigma / unit) ** 2 @ share**2)
+    names = tuple(f"sum {i}" for i in range(START_CHANNELS))
+    return replace(measured, outputs=names, response=scaled @ share, sigma=sigma)
 
 
 def _fractions(z: NDArray[np.complex128], a: NDArray[np.complex128]) -> NDArray[np.complex128]:

@@ -75,6 +75,7 @@ def consistent_model(
     poles: NDArray[np.complex128],
     delays: Mapping[str, float],
     band: tuple[float, float],
+    intensity: Mapping[str, float],
 ) -> Reduction:
     """The model for prediction: numerators of all channels and inputs over common poles, copies merged.
 
@@ -82,8 +83,8 @@ def consistent_model(
     ----------
     measured, poles, delays
         As in `realize_together`.
-    band
-        [Hz] of the typical motion that sets the balancing units.
+    band, intensity
+        [Hz], and rms of each input by name, of the typical motion that sets the balancing units.
 
     Returns
     -------
@@ -92,6 +93,6 @@ def consistent_model(
         `realize_together`) the servo's slow pole is the first to go, then local modes.
     """
     whole = realize_together(measured, poles, delays)
-    merged = balanced_truncation(whole, len(poles), typical_scales(whole, band))
+    merged = balanced_truncation(whole, len(poles), typical_scales(whole, band, intensity))
     about = {"states": f"consistent, one for each of {len(poles)} common poles"}
     return replace(merged, model=replace(merged.model, provenance=about))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,61 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_sysid.fitting.pole_estimate import PoleEstimate
+
+
+def servo_lags(estimate: PoleEstimate, highest: float) -> dict[str, float]:
+    """Of each input that drives a fast real pole alone the time [s] by which it comes later: lag and delay.
+
+    Parameters
+    ----------
+    estimate
+        Poles and what drives them.
+    highest
+        [rad/s], of the tests: poles beyond it are fast.
+    """
+    found = {}
+    delays = np.nan_to_num(estimate.delays)
+    for name, column, delay in zip(estimate.inputs, estimate.drive.T, delays, strict=True):
+        own = _fast(estimate, highest) & (column != 0)
+        if own.any():
+            found[name] = float(delay - np.sum(1 / estimate.poles[own].real))
+    return found
+
+
+def without_lags(estimate: PoleEstimate, highest: float) -> PoleEstimate:
+    """The same modes, each servo's lag a delay: fewer states, and the same response far below the lag's frequency.
+
+    What a pole p is driven by e^(-s t) u with e^(p t) in the drive is what u drives at s = p.
+
+    Parameters
+    ----------
+    estimate, highest
+        As of `servo_lags`.
+    """
+    fast = _fast(estimate, highest)
+    lags, delays = servo_lags(estimate, highest), np.nan_to_num(estimate.delays)
+    drive, direct = estimate.drive.copy(), estimate.direct.copy()
+    for name, whole in lags.items():
+        j = estimate.inputs.index(name)
+        drive[:, j] *= np.exp(estimate.poles * (whole - delays[j]))
+        own = fast & (estimate.drive[:, j] != 0)
+        # far below its frequency the lag's state follows the command
+        direct[:, j] += (estimate.shapes[:, own] @ (estimate.drive[own, j] / -estimate.poles[own])).real
+        delays[j] = whole
+    return replace(
+        estimate,
+        poles=estimate.poles[~fast],
+        drive=drive[~fast],
+        shapes=estimate.shapes[:, ~fast],
+        direct=direct,
+        delays=delays,
+    )
+
+
+def _fast(estimate: PoleEstimate, highest: float) -> NDArray[np.bool_]:
+    """(poles,) real ones beyond `highest` [rad/s] that a single input drives."""
+    alone = np.count_nonzero(estimate.drive, axis=1) == 1
+    return np.asarray((estimate.poles.imag == 0) & (-estimate.poles.real > highest) & alone)
 
 
 def modal_model(estimate: PoleEstimate, provenance: dict[str, Any]) -> LinearModel:
@@ -48,7 +104,16 @@ def modal_model(estimate: PoleEstimate, provenance: dict[str, Any]) -> LinearMod
             into[own], out_of[:, own] = into[own] * size, out_of[:, own] / size
         first = own.stop
     a = linalg.block_diag(*blocks)
-    return LinearModel(a, into, out_of, estimate.direct, estimate.inputs, estimate.outputs, provenance=provenance)
+    return LinearModel(
+        a,
+        into,
+        out_of,
+        estimate.direct,
+        estimate.inputs,
+        estimate.outputs,
+        input_delay=tuple(map(float, np.nan_to_num(estimate.delays))),
+        provenance=provenance,
+    )
 
 
 def modal_covariance(estimate: PoleEstimate) -> NDArray[np.float64] | None:

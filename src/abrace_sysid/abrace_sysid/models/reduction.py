@@ -1,7 +1,7 @@
 """Balanced truncation (Moore 1981) of the superposed model: Eq. (9) of the paper.
 
 In SI units the Gramians of the table's motion swamp those of the command by a factor of 1e9. So inputs and outputs are
-scaled first: each input by the intensity of Table 1's test, each output by its rms under inputs of those intensities.
+scaled first: each input by its rms in the tests, each output by its rms under such inputs.
 The superposed model has each building pole three times; copies that coincide are cut.
 """
 
@@ -16,12 +16,14 @@ from scipy import linalg
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from abrace_core.linear_model import LinearModel
 
-INTENSITY = {"w": 0.02 * 9.80665, "U": 186.0 * 9.80665}
-"""Typical rms of the ground acceleration [m/s^2] and of a command [N] (Table 1), by the signal's first letter."""
+SIGNIFICANT = 0.01
+"""Share of the greatest Hankel singular value from which on a state is kept where no order is given."""
 
 NEGLIGIBLE = 1e-7
 """Share of the greatest Hankel singular value below which a state counts as uncontrollable or unobservable: rounding
@@ -60,8 +62,8 @@ class Reduction:
         return float(2 * self.hankel_singular_values[self.model.order :].sum())
 
 
-def typical_scales(model: LinearModel, band: tuple[float, float]) -> Scales:
-    """Inputs at Table 1's intensities, and the rms of each output that the model predicts under them.
+def typical_scales(model: LinearModel, band: tuple[float, float], intensity: Mapping[str, float]) -> Scales:
+    """Inputs at some intensities, and the rms of each output that the model predicts under them.
 
     The inputs are taken as independent white noise within a band, uncontrolled.
 
@@ -71,8 +73,10 @@ def typical_scales(model: LinearModel, band: tuple[float, float]) -> Scales:
         Continuous model.
     band
         [Hz].
+    intensity
+        Rms of each input by name.
     """
-    inputs = np.array([INTENSITY[name[0]] for name in model.inputs])
+    inputs = np.array([intensity[name] for name in model.inputs])
     omega, share = _white_noise(band)
     outputs = np.sqrt(np.einsum("fpm,f->p", np.abs(model.frequency_response(omega) * inputs) ** 2, share))
     silent = [name for name, rms in zip(model.outputs, outputs, strict=True) if rms == 0]
@@ -89,7 +93,8 @@ def balanced_truncation(model: LinearModel, states: int, scales: Scales) -> Redu
     model
         May have states that cannot be controlled or observed: they are cut first.
     states
-        Order of the reduced model.
+        Order of the reduced model; 0: as many as have a Hankel singular value of SIGNIFICANT times the greatest, or
+        more.
     scales
         The balancing units.
 
@@ -108,6 +113,7 @@ def balanced_truncation(model: LinearModel, states: int, scales: Scales) -> Redu
     observability = _gramian_root(model.a.T, c.T)
     left, hankel, right = linalg.svd(observability.T @ controllability)
     significant = int(np.sum(hankel > NEGLIGIBLE * hankel[0]))
+    states = states or int(np.sum(hankel >= SIGNIFICANT * hankel[0]))
     if not 1 <= states <= significant:
         raise AbraceError(
             f"balanced truncation to {states} states, expected 1 to {significant}: no more of them matter"

@@ -20,7 +20,7 @@ from abrace_sysid.fitting.options import FIT_METHODS, IdentificationOptions
 from abrace_sysid.fitting.stabilization import stabilization
 from abrace_sysid.identification import Identification, identify
 from abrace_sysid.measured_data import DataHold, read_data, units_of
-from abrace_sysid.models.reduction import errors_by_order, typical_scales
+from abrace_sysid.models.reduction import errors_by_order
 from abrace_sysid.pole_results import poles_text, write_poles
 from abrace_sysid.spectra.estimation import Method, TransferFunctionOptions
 from abrace_sysid.spectra.welch import Estimator
@@ -50,9 +50,14 @@ PARAMETERS = [
     Parameter("half_width", METHOD.half_width, "lines to each side of the local methods; 0: by the record", minimum=0),
     Parameter("table_band", list(DEFAULTS.table_band), "Hz, lowest and highest frequency used", minimum=0.0),
     Parameter("command_band", list(DEFAULTS.command_band), "Hz, lowest and highest frequency used", minimum=0.0),
-    Parameter("command_order", DEFAULTS.command_order, "oscillating poles of the response to the command", minimum=2),
-    Parameter("servo_lag", DEFAULTS.servo_lag, "s, of the actuators, from the bench test", minimum=0.0),
-    Parameter("reduced_order", DEFAULTS.reduced_order, "states of the reduced model", minimum=1),
+    Parameter(
+        "command_order",
+        DEFAULTS.command_order,
+        "oscillating poles shown by the commands; 0: by the tests",
+        minimum=0,
+    ),
+    Parameter("servo_lag", DEFAULTS.servo_lag, "s, of the actuators, from a bench test; 0: none was made", minimum=0.0),
+    Parameter("reduced_order", DEFAULTS.reduced_order, "states of the reduced model; 0: as many as count", minimum=0),
     Parameter("data", "", "file of measured data (.mat, .csv, .npz, .npy) in place of bags"),
     Parameter("inputs", [], "of data: names of the columns that were excited", element=str),
     Parameter("outputs", [], "of data: names of the columns that answer; none: all others", element=str),
@@ -195,12 +200,10 @@ class Identify(AbraceNode):
         drawings = {
             "figure_4_table": figures.transfer_functions(table, shown, found.model),
             "residuals": figures.residuals([table, *commands], found.model),
-            "hankel_singular_values": figures.hankel_singular_values(
-                found.hankel_singular_values, options.reduced_order
-            ),
+            "hankel_singular_values": figures.hankel_singular_values(found.hankel_singular_values, found.reduced.order),
             "reduction_errors": figures.reduction_errors(
-                errors_by_order(found.whole, typical_scales(found.whole, options.command_band), options.command_band),
-                options.reduced_order,
+                errors_by_order(found.whole, found.scales, options.command_band),
+                found.reduced.order,
                 found.whole.inputs,
             ),
         }

@@ -9,7 +9,7 @@ import numpy as np
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
-from abrace_sysid.identification import measured_lag
+from abrace_sysid.models.modal import servo_lags
 from abrace_sysid.recordings import dead_channels, longest_piece
 from abrace_sysid.spectra.fourier import held_input
 from abrace_sysid.spectra.periodic_response import find_period
@@ -193,7 +193,8 @@ def _of_model(
         # a lag of another servo does nothing here
         driven = estimate.drive[:, estimate.inputs.index(data.input)] != 0
         findings += model_findings.repeated(data, estimate.poles[driven], cause, building)
-        measured, force = measured_lag(estimate, data.input, options.command_band[1]), data.input.replace("U", "f")
+        highest, force = float(data.responses[0].omega[-1]), data.input.replace("U", "f")
+        measured = servo_lags(estimate, highest).get(data.input)
         if measured is None and force in data.outputs:
             measured = model_findings.lag_of_response(data.responses[0], force)
         if measured is not None:
