@@ -100,3 +100,50 @@ def test_weights_of_any_size_read_back_as_they_were(tmp_path: Path):
     weights = Weights(measured=["a1"], weights=kinds, noise_to_excitation=3e-9)
     save_weights(weights, tmp_path / "w.yaml", "a test")
     assert load_weights(tmp_path / "w.yaml") == weights
+
+
+def made(**changes: object) -> Weights:
+    content = {
+        "measured": ["a*"],
+        "weights": {"displacement": 0.0, "stroke": 0.0, "acceleration": 0.0, "force": 0.0, "command": 1.0},
+        "noise_to_excitation": 0.2,
+    }
+    content["weights"] |= changes.pop("kinds", {})
+    return Weights.model_validate(content | changes)
+
+
+def test_drift_and_base_shear_are_sums_of_what_is_recorded():
+    weights = made(kinds={"drift": 4.0, "base_shear": 9.0}, masses=[10.0, 20.0])
+    outputs = ("x1", "x2", "xf", "a1", "a2", "f")
+    names, rows = weights.weighed(outputs)
+    assert names == (*outputs, "d1", "d2", "V")
+    moved = np.array([1.0, 3.0, 0.0, 5.0, 7.0, 0.0])
+    np.testing.assert_array_equal((rows @ moved)[6:], [1.0, 2.0, 190.0])
+    np.testing.assert_array_equal(weights.diagonal(names)[6:], [4.0, 4.0, 9.0])
+
+
+def test_noise_is_set_sensor_by_sensor_and_a_star_stands_for_all_floors():
+    weights = made(noise={"a2": 3.0}).of(("x1", "x2", "a1", "a2"), ("U",))
+    assert weights.measured == ["a1", "a2"]
+    np.testing.assert_allclose(weights.noise_intensity(), [0.2, 0.6])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"measured": ["x*"]}, r"measured: x\*, expected some of a1"),
+        ({"noise": {"x1": 2.0}}, "noise: x1, expected some of a1, a2"),
+        ({"relative": {"a3": 2.0}}, "relative: a3, expected some of a1"),
+        ({"kinds": {"base_shear": 1.0}, "masses": [1.0]}, "masses: 1 of 0 floors"),
+    ],
+)
+def test_names_that_a_model_has_not_are_refused(changes: dict, message: str):
+    with pytest.raises(AbraceError, match=message):
+        made(**changes).of(("a1", "a2"), ("U",))
+
+
+def test_weights_with_sums_noise_and_scale_read_back(tmp_path: Path):
+    kinds = {"drift": 4.0, "base_shear": 9.0}
+    weights = made(kinds=kinds, masses=[10.0, 20.0], noise={"a2": 3.0}, scale={"force": 0.3})
+    save_weights(weights, tmp_path / "w.yaml", "a test")
+    assert load_weights(tmp_path / "w.yaml") == weights

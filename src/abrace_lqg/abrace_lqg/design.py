@@ -96,24 +96,17 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
     if not (sample_period > 0 and np.isfinite(sample_period)):
         raise AbraceError(f"design: sample_period {sample_period} s, expected more than zero")
     commands = model.inputs[1:]
-    unknown = [name for name in weights.relative if name not in (*model.outputs, *commands)]
-    if unknown:
-        found = f"relative weights of {', '.join(unknown)}"
-        raise AbraceError(f"design: {found}, expected signals of the model: {', '.join((*model.outputs, *commands))}")
+    if weights.scale is not None:
+        raise AbraceError("design: weights with a scale, expected those that `scaled_weights` makes of them for a rig")
+    weights = weights.of(model.outputs, commands)
     plant = balanced(delayed(model, sample_period))
     b, e = plant.b[:, 1:], plant.b[:, :1]
-    gain = regulator(
-        plant.a,
-        b,
-        plant.c,
-        plant.d[:, 1:],
-        np.diag(weights.diagonal(plant.outputs)),
-        np.diag(weights.diagonal(commands)),
-    )
+    names, combined = weights.weighed(plant.outputs)
+    q, r = (np.diag(weights.diagonal(signals)) for signals in (names, commands))
+    gain = regulator(plant.a, b, combined @ plant.c, combined @ plant.d[:, 1:], q, r)
     measured = plant.select(weights.measured)
     d_y, f_y = measured.d[:, 1:], measured.d[:, :1]
-    noise = weights.noise_to_excitation * np.eye(len(weights.measured))
-    injection = kalman(plant.a, e, measured.c, f_y, noise)
+    injection = kalman(plant.a, e, measured.c, f_y, np.diag(weights.noise_intensity()))
     continuous = LinearModel(
         plant.a - b @ gain - injection @ (measured.c - d_y @ gain),
         injection,

@@ -1,11 +1,13 @@
 """The weights of an LQG design and their file, read and written.
 
-Eq. (11) weighs the recorded quantities and the commands; the Kalman filter needs the noise of the measured ones. All
-values are in SI units: the weights multiply squares of m, m/s^2 and N.
+Eq. (11) weighs the recorded quantities and the commands, and sums of the former: the drift of each storey and the base
+shear. The Kalman filter needs the noise of the measured ones. All values are in SI units: the weights multiply squares
+of m, m/s^2 and N. Weights that nobody knows yet are scaled to a rig from one number (`abrace_lqg.scaling`).
 """
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -38,6 +40,10 @@ class KindWeights(Checked):
         [1/N^2].
     command
         [1/N^2], greater than zero.
+    drift
+        Of each storey, d1 = x1, d2 = x2 - x1 ... [1/m^2].
+    base_shear
+        V, the sum of all floors' masses times accelerations [1/N^2].
     """
 
     displacement: Weight
@@ -45,6 +51,29 @@ class KindWeights(Checked):
     acceleration: Weight
     force: Weight
     command: Positive
+    drift: Weight = 0.0
+    base_shear: Weight = 0.0
+
+
+class Scale(Checked):
+    """What scales the weights to a rig; one of the two.
+
+    Parameters
+    ----------
+    reduction
+        Of the displacements' rms under the design's excitation, mean of the floors: 0.5 halves them.
+    force
+        Share of the force limit that three times the rms of a command takes, of the command that needs most.
+    """
+
+    reduction: Annotated[float, pydantic.Field(gt=0, lt=1)] | None = None
+    force: Annotated[float, pydantic.Field(gt=0, le=1)] | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _one(self) -> Scale:
+        if (self.reduction is None) == (self.force is None):
+            raise ValueError("either reduction or force")
+        return self
 
 
 class Weights(Checked):
@@ -53,7 +82,7 @@ class Weights(Checked):
     Parameters
     ----------
     measured
-        Names of the measured quantities y, in the order of the controller's inputs.
+        Names of the measured quantities y, in the order of the controller's inputs; "a*": all accelerations.
     weights
         By kind of signal.
     relative
@@ -61,12 +90,22 @@ class Weights(Checked):
     noise_to_excitation
         Intensity of each measured quantity's noise (its unit squared) over that of the ground acceleration
         ((m/s^2)^2), both white.
+    noise
+        By name of a measured quantity: factor on that intensity; 1 for those that are not named.
+    masses
+        Of the floors, the lowest first [kg], for the base shear.
+    scale
+        What scales the weights to a rig: those of each kind then say only how they compare, each over the mean square
+        of its signal with zero command, a command's over the square of its force limit.
     """
 
     measured: Annotated[list[str], pydantic.Field(min_length=1)]
     weights: KindWeights
     relative: dict[str, Positive] = {}
     noise_to_excitation: Positive
+    noise: dict[str, Positive] = {}
+    masses: list[Positive] = []
+    scale: Scale | None = None
 
     @pydantic.field_validator("measured")
     @classmethod
@@ -85,6 +124,65 @@ class Weights(Checked):
                 raise ValueError(str(error)) from error
         return relative
 
+    @pydantic.model_validator(mode="after")
+    def _with_masses(self) -> Weights:
+        if self.weights.base_shear and not self.masses:
+            raise ValueError("masses of all floors [kg] where base_shear has a weight")
+        return self
+
+    def of(self, outputs: Sequence[str], commands: Sequence[str]) -> Weights:
+        """These weights for a model with such `outputs` and `commands`: names that stand for several written out.
+
+        Raises
+        ------
+        AbraceError
+            If a name is none of the model's, or there is not one mass for each floor.
+        """
+        measured: list[str] = []
+        for name in self.measured:
+            several = [one for one in outputs if name.endswith("*") and re.fullmatch(name[:-1] + r"[0-9]+", one)]
+            measured += several or [name]
+        known = (*outputs, *commands, *self._combined(outputs)[0])
+        for what, names, expected in (
+            ("measured", measured, outputs),
+            ("noise", list(self.noise), measured),
+            ("relative", list(self.relative), known),
+        ):
+            unknown = [name for name in names if name not in expected]
+            if unknown:
+                raise AbraceError(f"weights: {what}: {', '.join(unknown)}, expected some of {', '.join(expected)}")
+        return self.model_copy(update={"measured": measured})
+
+    def weighed(self, outputs: Sequence[str]) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+        """What is weighed of some `outputs`: names, and (names, outputs) each as a sum of outputs.
+
+        Raises
+        ------
+        AbraceError
+            If the outputs do not have what drift and base shear are made of.
+        """
+        names, rows = self._combined(outputs)
+        return (*outputs, *names), np.vstack([np.eye(len(outputs)), *rows])
+
+    def _combined(self, outputs: Sequence[str]) -> tuple[list[str], list[NDArray[np.float64]]]:
+        """Drifts and base shear where they have a weight: names, and each as a sum of outputs."""
+        sums: dict[str, dict[str, float]] = {}
+        floors = sum(bool(re.fullmatch("x[0-9]+", name)) for name in outputs)
+        if self.weights.drift:
+            sums |= {f"d{i + 1}": {f"x{i + 1}": 1.0} | ({f"x{i}": -1.0} if i else {}) for i in range(floors)}
+        if self.weights.base_shear:
+            if len(self.masses) != floors:
+                raise AbraceError(f"weights: masses: {len(self.masses)} of {floors} floors, expected one for each")
+            sums["V"] = {f"a{i + 1}": mass for i, mass in enumerate(self.masses)}
+        missing = [name for one in sums.values() for name in one if name not in outputs]
+        if missing:
+            raise AbraceError(f"weights: drift and base_shear need {', '.join(missing)}, which the model has not")
+        return list(sums), [np.array([one.get(name, 0.0) for name in outputs]) for one in sums.values()]
+
+    def noise_intensity(self) -> NDArray[np.float64]:
+        """(measured,) intensity of each measured quantity's noise over that of the excitation."""
+        return np.array([self.noise_to_excitation * self.noise.get(name, 1.0) for name in self.measured])
+
     def diagonal(self, names: Sequence[str]) -> NDArray[np.float64]:
         """(len(names),) the weight of each of these signals."""
         return np.array([getattr(self.weights, signal_kind(name)) * self.relative.get(name, 1.0) for name in names])
@@ -93,8 +191,8 @@ class Weights(Checked):
 def signal_kind(name: str) -> str:
     """The field of `KindWeights` that weighs the signal `name`.
 
-    >>> [signal_kind(name) for name in ("x3", "xf", "a1", "f2", "U")]
-    ['displacement', 'stroke', 'acceleration', 'force', 'command']
+    >>> [signal_kind(name) for name in ("x3", "xf", "a1", "f2", "U", "d2", "V")]
+    ['displacement', 'stroke', 'acceleration', 'force', 'command', 'drift', 'base_shear']
     """
     for prefix, found in (
         ("xf", "stroke"),
@@ -102,10 +200,12 @@ def signal_kind(name: str) -> str:
         ("a", "acceleration"),
         ("f", "force"),
         ("U", "command"),
+        ("d", "drift"),
+        ("V", "base_shear"),
     ):
         if name.startswith(prefix):
             return found
-    raise AbraceError(f"signal {name!r}: no weight for it, expected a name such as x1, xf, a1, f or U")
+    raise AbraceError(f"signal {name!r}: no weight for it, expected a name such as x1, xf, a1, f, d2, V or U")
 
 
 def load_weights(path: Path | str) -> Weights:
@@ -131,7 +231,7 @@ def save_weights(weights: Weights, path: Path | str, origin: str) -> None:
     origin
         Where the weights come from: a comment at the top of the file.
     """
-    kinds = weights.weights.model_dump()
+    kinds = weights.weights.model_dump(exclude_unset=True)
     relative = [f"  {name}: {yaml_number(factor)}" for name, factor in weights.relative.items()]
     units = {
         "displacement": "1/m^2",
@@ -139,7 +239,11 @@ def save_weights(weights: Weights, path: Path | str, origin: str) -> None:
         "acceleration": "s^4/m^2",
         "force": "1/N^2",
         "command": "1/N^2",
+        "drift": "1/m^2",
+        "base_shear": "1/N^2",
     }
+    noise = [f"  {name}: {yaml_number(factor)}" for name, factor in weights.noise.items()]
+    scale = weights.scale.model_dump(exclude_none=True) if weights.scale else {}
     lines = [
         f"# {' '.join(origin.split())}",
         f"measured: [{', '.join(weights.measured)}]",
@@ -149,5 +253,8 @@ def save_weights(weights: Weights, path: Path | str, origin: str) -> None:
         "",
         *(["relative:", *relative, ""] if relative else []),
         f"noise_to_excitation: {yaml_number(weights.noise_to_excitation)}",
+        *(["", "noise:", *noise] if noise else []),
+        *(["", f"masses: [{', '.join(map(yaml_number, weights.masses))}]  # kg"] if weights.masses else []),
+        *(f"scale: {{{name}: {yaml_number(value)}}}" for name, value in scale.items()),
     ]
     write_text(path, "\n".join(lines) + "\n")

@@ -14,6 +14,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import load_covariance, load_model
 from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_core.progress import Progress
+from abrace_lqg.analysis.prediction import Excitation
 from abrace_lqg.exploration.cluster import cluster, explore
 from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motion
 from abrace_lqg.exploration.figure import trade_off
@@ -21,6 +22,7 @@ from abrace_lqg.exploration.files import save_exploration, write_set
 from abrace_lqg.exploration.report import report
 from abrace_lqg.exploration.study import Study
 from abrace_lqg.exploration.weight_sets import weight_sets
+from abrace_lqg.scaling import scaled_weights
 from abrace_lqg.weights import load_weights
 
 SPANS = ("displacement", "stroke", "acceleration", "force", "noise_to_excitation")
@@ -83,9 +85,10 @@ class Explore(AbraceNode):
         weights = load_weights(weights_file)
         if given.measured:
             weights = weights.model_copy(update={"measured": given.measured})
+        model, simulation_model = load_model(given.model), load_model(given.simulation_model)
+        weights = scaled_weights(model, weights, given.sample_period, given.force_limit, Excitation())
         spans = {name: _pair(name, getattr(given, name)) for name in SPANS}
         sets = weight_sets(weights, spans, given.sets, given.seed)
-        model, simulation_model = load_model(given.model), load_model(given.simulation_model)
         records = [record.scaled(given.peak_acceleration) for record in self.records()]
         capacity = np.array(given.force_limit)
         study = Study.of(model, simulation_model, records, capacity=capacity, sample_period=given.sample_period)

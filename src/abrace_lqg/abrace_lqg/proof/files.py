@@ -15,16 +15,17 @@ from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import load_covariance, load_model, takes_models
 from abrace_core.model_ensemble import draw_models
+from abrace_lqg.analysis.prediction import Excitation
 from abrace_lqg.design import design
 from abrace_lqg.proof.checks import prove, require
 from abrace_lqg.proof.figures import loop_figure, pole_figure, prediction_figure
 from abrace_lqg.proof.table import table_lines
+from abrace_lqg.scaling import scaled_weights
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from abrace_core.linear_model import LinearModel
-    from abrace_lqg.analysis.prediction import Excitation
     from abrace_lqg.proof.checks import ModelProof, Proof
     from abrace_lqg.proof.limits import Limits
     from abrace_lqg.weights import Weights
@@ -79,6 +80,7 @@ def design_to_file(
     """
     models = load_models(model_files)
     model = next(iter(models.values()))
+    weights = scaled_weights(model, weights, sample_period, force_limit, excitation or Excitation())
     designed = design(model, weights, sample_period)
     ensembles = _ensembles(dict(zip(models, model_files, strict=True)), models, draws, draw_seed)
     proof = require(prove(designed, models, excitation, limits, ensembles), accept)

@@ -1,0 +1,102 @@
+"""Weights that nobody knows yet, scaled to a rig from one number: the reduction wanted, or the share of force to use.
+
+The weights of each kind say how they compare. Each signal counts over its mean square with zero command under the
+excitation of the design, each command over the square of its force limit; one factor on all weights but the commands'
+is then found such that the predicted responses, or commands, are what was asked for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import LinearModel, takes_models
+from abrace_lqg.analysis.prediction import predicted_rms
+from abrace_lqg.design import design
+from abrace_lqg.loop import sampled
+from abrace_lqg.weights import Weights, signal_kind
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from abrace_lqg.analysis.prediction import Excitation
+
+DECADES = 8.0
+"""The factor is sought from this power of ten below 1 to above it."""
+
+STEPS = 12
+"""Bisections: the factor is then known to 1 %."""
+
+DEVIATIONS = 3.0
+"""A command's greatest value, in its rms."""
+
+ACCURATE = 0.02
+"""Greatest difference from the number that was asked for."""
+
+
+@takes_models
+def scaled_weights(
+    model: LinearModel, weights: Weights, sample_period: float, force_limit: Sequence[float], excitation: Excitation
+) -> Weights:
+    """The weights in SI units, for one rig; weights without a scale as they are.
+
+    Parameters
+    ----------
+    model
+        That the controller is designed on.
+    weights
+        With `scale`.
+    sample_period
+        Of the controller [s].
+    force_limit
+        (commands,) [N].
+    excitation
+        Of the ground, under which reduction and force are predicted.
+
+    Raises
+    ------
+    AbraceError
+        If no factor reaches what is asked for.
+    """
+    if weights.scale is None:
+        return weights
+    commands, plant = model.inputs[1:], sampled(model, sample_period)
+    names, rows = weights.weighed(model.outputs)
+    seen = LinearModel(plant.a, plant.b, rows @ plant.c, rows @ plant.d, plant.inputs, names, plant.sample_period)
+    without = predicted_rms(seen, None, excitation)
+    unit = {name: 1 / without[name] ** 2 for name in names if without[name] > 0}
+    unit |= {name: 1 / limit**2 for name, limit in zip(commands, force_limit, strict=True)}
+    relative = {name: value * weights.relative.get(name, 1.0) for name, value in unit.items()}
+    floors = [name for name in model.outputs if signal_kind(name) == "displacement"]
+
+    def with_factor(power: float) -> Weights:
+        kinds = {
+            name: value * (1.0 if name == "command" else 10.0**power)
+            for name, value in weights.weights.model_dump().items()
+        }
+        changed = {"weights": weights.weights.model_copy(update=kinds), "relative": relative, "scale": None}
+        return weights.model_copy(update=changed)
+
+    def reached(power: float) -> float:
+        controller = design(model, with_factor(power), sample_period).controller
+        rms = predicted_rms(plant, controller, excitation)
+        if weights.scale is not None and weights.scale.reduction is not None:
+            return 1 - float(np.mean([rms[name] / without[name] for name in floors]))
+        return max(DEVIATIONS * rms[name] / limit for name, limit in zip(commands, force_limit, strict=True))
+
+    asked = weights.scale.reduction or weights.scale.force or 0.0
+    low, high, found = -DECADES, DECADES, 0.0
+    for _ in range(STEPS):
+        middle = (low + high) / 2
+        try:
+            found = reached(middle)
+        except AbraceError:  # weights too large for an accurate solution
+            found = np.inf
+        low, high = (middle, high) if found < asked else (low, middle)
+    found = reached(low)
+    if abs(found - asked) > ACCURATE:
+        (name,) = weights.scale.model_dump(exclude_none=True)
+        raise AbraceError(f"weights: scale.{name}: {asked:g}, expected {found:.2g} at most on this rig")
+    return with_factor(low)

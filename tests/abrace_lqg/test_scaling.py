@@ -1,0 +1,59 @@
+"""Weights scaled to a rig from one number."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from abrace_core.errors import AbraceError
+from abrace_lqg.analysis.prediction import Excitation, predicted_rms
+from abrace_lqg.design import design
+from abrace_lqg.loop import sampled
+from abrace_lqg.scaling import scaled_weights
+from abrace_lqg.weights import load_weights
+from abrace_plant.rig.file import load_rig
+
+SOURCE = Path(__file__).parents[2] / "src"
+PERIOD, EXCITATION = 0.002, Excitation()
+
+
+@pytest.fixture(scope="module")
+def five():
+    """Five storeys with two unequal brace groups."""
+    return load_rig(SOURCE / "abrace_plant/config/five_storey.yaml")
+
+
+def scaled(rig, **scale):
+    half = load_weights(SOURCE / "abrace_lqg/config/half.yaml")
+    asked = type(half).model_validate(half.model_dump() | {"scale": scale}) if scale else half
+    weights = scaled_weights(rig.model, asked, PERIOD, rig.capacity.tolist(), EXCITATION)
+    law = design(rig.model, weights, PERIOD).controller
+    plant = sampled(rig.model, PERIOD)
+    return weights, predicted_rms(plant, None, EXCITATION), predicted_rms(plant, law, EXCITATION)
+
+
+def test_displacements_are_halved_where_that_is_asked_for(five):
+    weights, without, controlled = scaled(five)
+    reductions = [1 - controlled[name] / without[name] for name in ("x1", "x2", "x3", "x4", "x5")]
+    assert np.mean(reductions) == pytest.approx(0.5, abs=0.01)
+    assert weights.scale is None
+    one, other = weights.diagonal(("U1", "U2"))
+    assert one / other == pytest.approx(4.0), "a command counts over the square of its force limit"
+
+
+def test_the_force_that_is_asked_for_is_used_by_the_command_that_needs_most(five):
+    _, _, controlled = scaled(five, force=0.2)
+    used = [3 * controlled[name] / limit for name, limit in zip(("U1", "U2"), five.capacity, strict=True)]
+    assert max(used) == pytest.approx(0.2, rel=0.02)
+
+
+def test_a_reduction_that_no_weight_gives_is_refused(five):
+    with pytest.raises(AbraceError, match=r"scale\.reduction: 0\.99, expected 0\.[0-9]+ at most on this rig"):
+        scaled(five, reduction=0.99)
+
+
+def test_weights_that_are_not_scaled_yet_make_no_controller(five):
+    with pytest.raises(AbraceError, match="weights with a scale"):
+        design(five.model, load_weights(SOURCE / "abrace_lqg/config/half.yaml"), PERIOD)
