@@ -21,6 +21,7 @@ import lqg_accuracy
 from ambient_accuracy import verify_ambient
 from bag_accuracy import verify_bags
 from bridge_claims import verify_bridge
+from buildings import verify_buildings
 from claims import Claim, claim_table
 from identification_claims import verify_identification
 from interlock_margins import verify_interlocks
@@ -64,6 +65,7 @@ def parts(record: Path | None, measured: Path | None) -> dict[str, Part]:
         ),
         "ambient": Part(("ambient",), "modes without any drive, and changes found", verify_ambient),
         "lqg": Part(("lqg",), "the five controllers on the lockstep graph", partial(lqg_accuracy.verify_lqg, record)),
+        "buildings": Part((buildings,), "several brace groups, from tests to a controller", verify_buildings),
         "as_a_rig": Part((buildings, "as_a_rig"), "the demo on a rig with friction and all else", verify_as_a_rig),
         "validity": Part((buildings, "validity"), "planted faults named, false alarms", verify_validity),
         "coverage": Part((buildings, "coverage"), "true values within intervals, also with friction", verify_coverage),
@@ -74,13 +76,22 @@ def parts(record: Path | None, measured: Path | None) -> dict[str, Part]:
     }
 
 
+def _within(place: tuple[str, ...]) -> set[str]:
+    """Keys at a part's `place` that are the places of other parts."""
+    places = (part.place for part in parts(None, None).values())
+    return {other[len(place)] for other in places if len(other) > len(place) and other[: len(place)] == place}
+
+
 def store(place: tuple[str, ...], values: Any) -> None:
-    """Put the `values` of a part into the results, beside those of others."""
+    """Put the `values` of a part into the results, beside those of others that are there."""
     found = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.is_file() else {}
     inside = found
     for key in place[:-1]:
         inside = inside.setdefault(key, {})
-    inside[place[-1]] = values
+    beside = inside.get(place[-1])
+    # what other parts have put into this one's place stays
+    kept = {key: value for key, value in beside.items() if key in _within(place)} if isinstance(beside, dict) else {}
+    inside[place[-1]] = {**kept, **values} if kept else values
     write_text(RESULTS, json.dumps(found, indent=1) + "\n")
 
 

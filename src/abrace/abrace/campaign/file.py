@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import pydantic
 
@@ -14,7 +14,7 @@ from abrace_lqg.proof.files import DRAWS
 from abrace_lqg.proof.limits import Limits, Objection
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
 Positive = Annotated[float, pydantic.Field(gt=0, strict=True)]
@@ -22,6 +22,9 @@ NonNegative = Annotated[float, pydantic.Field(ge=0, strict=True)]
 Text = Annotated[str, pydantic.Field(min_length=1)]
 
 Lines = Literal["all", "odd", "even"]
+
+LOWEST = 0.3
+"""Hz, from which tests are identified where no band is given: sensors drift, and a table hardly moves below."""
 
 WHITE_NOISE, MULTISINE = "white_noise", "multisine"
 CONTROLLER_FILE = ".yaml"
@@ -148,14 +151,57 @@ def _listed(value: object) -> object:
 Tests = Annotated[tuple[Text, ...], pydantic.Field(min_length=1), pydantic.BeforeValidator(_listed)]
 
 
-class Identify(Checked):
-    """A model from the bags of tests of the table alone, and of the command alone, one or several of each.
+Band = Annotated[tuple[NonNegative, NonNegative], pydantic.AfterValidator(_rising)]
+Whole = Annotated[int, pydantic.Field(ge=0, strict=True)]
 
-    The same tests for both: multisines on table and command at once.
+
+class Identify(Checked):
+    """A model from the bags of tests of the table alone, and of the commands alone, one or several of each.
+
+    The same tests for both: table and commands at once. Everything else are parameters of the node `identify`; a band
+    that is not given is that in which the tests are excited, from LOWEST Hz on.
     """
 
     table: Tests
     command: Tests
+    table_band: Band | None = None
+    command_band: Band | None = None
+    fit: Literal["maximum_likelihood", "vector_fitting", "sk", "paper"] | None = None
+    command_order: Whole | None = None
+    reduced_order: Whole | None = None
+    servo_lag: NonNegative | None = None
+    method: Literal["local_rational", "local_polynomial", "welch"] | None = None
+    segment: Whole | None = None
+    window: Text | None = None
+    overlap: Annotated[float, pydantic.Field(ge=0, le=0.99, strict=True)] | None = None
+    estimator: Literal["H1", "H2", "Hv"] | None = None
+    order: Whole | None = None
+    half_width: Whole | None = None
+    stabilization: Annotated[bool, pydantic.Field(strict=True)] | None = None
+    mat: Annotated[bool, pydantic.Field(strict=True)] | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The parameters of the node `identify` that are given, but its tests."""
+        given = self.model_dump(exclude_none=True, exclude={"table", "command"})
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
+
+    def band_of(self, key: str, tests: Sequence[RigTest]) -> tuple[float, float] | None:
+        """The band of `table` or `command`: as given, or that in which all its tests are excited; None: not known.
+
+        Parameters
+        ----------
+        key
+            "table" or "command".
+        tests
+            Those that it names.
+        """
+        given: tuple[float, float] | None = getattr(self, f"{key}_band")
+        drives = [test.ground_motion if key == "table" else test.excitation for test in tests]
+        bands = [drive.band for drive in drives if isinstance(drive, BandedNoise)]
+        if given is not None or len(bands) < len(drives):
+            return given
+        return max(LOWEST, *(band[0] for band in bands)), min(band[1] for band in bands)
 
 
 class Design(Checked):

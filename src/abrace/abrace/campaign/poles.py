@@ -6,6 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import optimize
 
 from abrace_core.drawing import save_figure
 from abrace_core.files import write_text
@@ -35,7 +36,9 @@ def compare_poles(results: Path, step: str, rig: Rig, simulated: bool) -> None:
     }
     own = rig.model.poles() if simulated else np.array([])
     pairs = [{"frequency": w, "damping_ratio": damping} for w, damping in pole_table(own)]
-    poles = {test: {"identified": found, "true": pairs[: len(found)]} for test, found in identified.items()}
+    # the table test shows the building's modes, wherever local ones lie: the nearest to those found
+    true = {"table": _nearest(identified["table"], pairs), "command": pairs[: len(identified["command"])]}
+    poles = {test: {"identified": found, "true": true[test]} for test, found in identified.items()}
     write_text(results / "poles.json", json.dumps(poles, indent=1))
     highest = 1.2 * max(pair["frequency"] for pair in identified["command"])
     reference = {"rig": own[np.abs(own) < highest]} if own.size else {}
@@ -43,6 +46,15 @@ def compare_poles(results: Path, step: str, rig: Rig, simulated: bool) -> None:
         reference["paper, A1 and A2"] = np.concatenate([PAPER_POLES["table"], PAPER_POLES["command"]])
     chart = pole_chart({f"{test} test": _complex(found) for test, found in identified.items()}, reference)
     save_figure(chart, results / step / "poles.png")
+
+
+def _nearest(found: list[dict[str, float]], own: list[dict[str, float]]) -> list[dict[str, float]]:
+    """Of each pair that was found the rig's own that is nearest in frequency, each once."""
+    if not own:
+        return []
+    ours, theirs = (np.log([pair["frequency"] for pair in pairs]) for pairs in (found, own))
+    _, chosen = optimize.linear_sum_assignment(np.abs(ours[:, None] - theirs))
+    return [own[i] for i in sorted(chosen)]
 
 
 def _complex(pairs: list[dict[str, float]]) -> NDArray[np.complex128]:

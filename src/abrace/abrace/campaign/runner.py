@@ -28,6 +28,7 @@ from abrace.campaign.file import (
     load_campaign,
 )
 from abrace.campaign.motions import as_given, check_braces, check_motions
+from abrace.campaign.offline import check_offline_steps
 from abrace.campaign.poles import compare_poles
 from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
 from abrace.processes.group import ProcessGroup, find_executable
@@ -45,6 +46,8 @@ from abrace_plant.records.files import record_file
 from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from abrace_core.progress import Step as ShownStep
     from abrace_plant.rig.model import Rig
 
@@ -238,7 +241,8 @@ class _Runner:
             case RigTest():
                 return self.run_test(name, task, SEED + number, shown)
             case Identify(table=table, command=command):
-                lag = self.rig.braces[0].actuator.lag
+                kinds = {"table": self.tests(table), "command": self.tests(command)}
+                bands = {f"{key}_band": task.band_of(key, tests) for key, tests in kinds.items()}
                 self.run_offline(
                     name,
                     "abrace_sysid",
@@ -247,7 +251,8 @@ class _Runner:
                         "table": [str(self.bags / name) for name in table],
                         "command": [str(self.bags / name) for name in command],
                         "output": str(output),
-                        "servo_lag": lag,
+                        **{key: list(band) for key, band in bands.items() if band},
+                        **task.options,
                     },
                 )
                 compare_poles(self.results, name, self.rig_of(table[0]), self.campaign.simulated)
@@ -289,10 +294,14 @@ class _Runner:
                 self.run_offline(name, "abrace_sysid", "ambient", {**given, "output": str(output)})
         return {}
 
+    def tests(self, names: Sequence[str]) -> list[RigTest]:
+        """The tests of these names."""
+        steps = {step.name: step.task for step in self.campaign.steps}
+        return [test for test in map(steps.get, names) if isinstance(test, RigTest)]
+
     def rig_of(self, test: str) -> Rig:
         """The rig as it was in a test."""
-        (task,) = (step.task for step in self.campaign.steps if step.name == test)
-        assert isinstance(task, RigTest)
+        (task,) = self.tests([test])
         return self.rig.disconnect(task.disconnected_braces)
 
     def rig_model(self, model: str) -> Path:
@@ -377,6 +386,7 @@ def run_campaign(path: Path) -> Path:
         load_device(device_file, rig)
     check_motions(campaign, rig)
     check_braces(campaign, rig)
+    check_offline_steps(campaign, rig)
     results = Path("results") / campaign.name
     bags = Path("bags") / campaign.name / datetime.now().strftime("%Y%m%d-%H%M%S")
     shutil.rmtree(results, ignore_errors=True)
