@@ -43,7 +43,7 @@ class CondensedLines:
     """One test: its basis, slopes and channels at every line, stacked real above imaginary, and condensed.
 
     `observation` is the test; `columns` are the places of the basis among all coefficients; `basis`, `slopes` (the
-    basis first), `measured` have 2 lines rows, and `small` is the triangular factor of slopes and channels side by side.
+    basis first), `measured` have 2 lines rows; `small` is the triangular factor of slopes and channels side by side.
     """
 
     observation: Observation
