@@ -182,7 +182,7 @@ Result = TypeVar("Result")
 
 
 def takes_models(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Let a `function` of models be given python-control's StateSpaces too, alone or as values of a mapping.
+    """Let a `function` of models be given python-control's StateSpaces too, alone, in a list or tuple, or in a mapping.
 
     The one place where they are converted. Where python-control was not imported, nothing can be one of its systems.
     """
@@ -201,6 +201,8 @@ def takes_models(function: Callable[Arguments, Result]) -> Callable[Arguments, R
 def _converted(value: Any, system: type) -> Any:
     if isinstance(value, system):
         return LinearModel.from_control(value)
+    if type(value) in (list, tuple):
+        return type(value)(_converted(each, system) for each in value)
     return {name: _converted(each, system) for name, each in value.items()} if type(value) is dict else value
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import fft
 
+from abrace_core.linear_model import takes_models
 from abrace_core.simulation import simulate
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from abrace_sysid.measured_data import MeasuredData
 
 
+@takes_models
 def variance_accounted_for(model: LinearModel, data: MeasuredData) -> NDArray[np.float64]:
     """(outputs,) 1 less the variance of the error of `predicted` over that of the measured output.
 
@@ -28,6 +30,7 @@ def variance_accounted_for(model: LinearModel, data: MeasuredData) -> NDArray[np
     return np.asarray(1 - np.var(measured - predicted(model, data), axis=0) / np.var(measured, axis=0))
 
 
+@takes_models
 def predicted(model: LinearModel, data: MeasuredData) -> NDArray[np.float64]:
     """(samples, outputs) what a model makes of the inputs, from the initial state that fits the outputs best.
 

@@ -19,6 +19,7 @@ from scipy import fft
 from abrace_core import signals
 from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import takes_models
 from abrace_core.response import PeakRms, peak_rms_of
 from abrace_core.sequence import breaks
 from abrace_core.simulation import simulate, simulate_closed_loop
@@ -114,6 +115,7 @@ class Comparison:
         ]
 
 
+@takes_models
 def compare(
     run: Run,
     model: LinearModel,

@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 
 from abrace_core import signals
 from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, legend_above
-from abrace_core.linear_model import pole_table
+from abrace_core.linear_model import pole_table, takes_models
 from abrace_sysid.figures.symbols import symbol
 from abrace_sysid.spectra.frequency_response import sampled_response
 
@@ -31,6 +31,7 @@ MOST_NAMED = 16
 """Channels up to which a legend names each of them."""
 
 
+@takes_models
 def transfer_functions(
     measured: FrequencyResponse,
     channels: Sequence[str],
@@ -165,6 +166,7 @@ def reduction_errors(errors: OrderErrors, kept: int, inputs: Sequence[str] = (si
     return figure
 
 
+@takes_models
 def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Figure:
     """Residuals of a model against measured transfer functions, and over their standard deviations: a column each.
 

@@ -30,6 +30,9 @@ SEARCH_LINES = 1500
 TRIAL_ITERATIONS = 30
 """Most steps of a trial: an order that the tests have takes about ten."""
 
+FORM_ITERATIONS = 15
+"""The same of another form of the servos with a number of pairs that is known to fit."""
+
 IN_VAIN = 2
 """So many orders in a row that are no better end the search."""
 
@@ -207,7 +210,7 @@ def search_order(
         # a servo with fewer poles than one that was worse is worse
         if form[1:] == found.order[1:] or form.reals < best.order.reals - 1:
             continue
-        (trial,) = try_orders(few, measured, [form._replace(pairs=found.order.pairs)], groups)
+        (trial,) = try_orders(few, measured, [form._replace(pairs=found.order.pairs)], groups, FORM_ITERATIONS)
         if _description(trial) < _description(best) and (fixed or not no_modes(trial.estimate, lines)):
             best = trial
     near = best.estimate

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import linalg
 
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel
+from abrace_core.linear_model import LinearModel, takes_models
 from abrace_sysid.fitting.curve_fit import least_squares
 from abrace_sysid.fitting.modal_states import modal_states
 from abrace_sysid.spectra.frequency_response import FrequencyResponse, sampled_response
@@ -62,6 +62,7 @@ def realize(
     return replace(states, c=rows[:, :-1], d=rows[:, -1:], outputs=outputs)
 
 
+@takes_models
 def unexplained(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.float64]:
     """(channels,) residual of a model against a measured response: rms over the lines, as a share of the response's.
 
@@ -78,6 +79,7 @@ def unexplained(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.f
     )
 
 
+@takes_models
 def superpose(parts: Sequence[LinearModel], inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearModel:
     """z = z1 + z2 + ...: Eqs. (6) and (7). A part gives zeros for the outputs and inputs that it does not name.
 

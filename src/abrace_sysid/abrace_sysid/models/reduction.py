@@ -14,6 +14,7 @@ import numpy as np
 from scipy import linalg
 
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import takes_models
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -62,6 +63,7 @@ class Reduction:
         return float(2 * self.hankel_singular_values[self.model.order :].sum())
 
 
+@takes_models
 def typical_scales(model: LinearModel, band: tuple[float, float], intensity: Mapping[str, float]) -> Scales:
     """Inputs at some intensities, and the rms of each output that the model predicts under them.
 
@@ -85,6 +87,7 @@ def typical_scales(model: LinearModel, band: tuple[float, float], intensity: Map
     return Scales(inputs, outputs)
 
 
+@takes_models
 def balanced_truncation(model: LinearModel, states: int, scales: Scales) -> Reduction:
     """Reduce a continuous stable model by the square-root method.
 
@@ -146,6 +149,7 @@ class OrderErrors:
     achieved: NDArray[np.float64]
 
 
+@takes_models
 def relative_errors(model: LinearModel, reduced: LinearModel, band: tuple[float, float]) -> NDArray[np.float64]:
     """Rms error of each output over its rms, for each input alone: white noise within a band (relative H2 norm).
 
@@ -168,6 +172,7 @@ def relative_errors(model: LinearModel, reduced: LinearModel, band: tuple[float,
     return np.sqrt(np.divide(error, size, out=np.full_like(size, np.nan), where=size > 0))
 
 
+@takes_models
 def errors_by_order(model: LinearModel, scales: Scales, band: tuple[float, float]) -> OrderErrors:
     """Achieved errors of every order that a model can be cut to.
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.discretization import HOLDS, discretize
+from abrace_core.linear_model import takes_models
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -106,6 +107,7 @@ def hold_and_delay(
     return np.asarray(sinc * np.exp(-1j * omega * (delay + sample_period / 2)))
 
 
+@takes_models
 def sampled_response(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.complex128]:
     """(lines, model's outputs) response of a continuous model, sampled as a measured one was, hold and delay included.
 
