@@ -142,7 +142,7 @@ def _of_tests(
         motion = Motion.of(whole, band[1]).without(dead)
         findings += sensor_findings.contradicting(motion, options.table_band)
         motions.append((motion, options.table_band))
-    if any(one.verdict == Verdict.DONT and one.check == sensor_findings.AGREE for one in findings):
+    if any(one.cause in sensor_findings.WRONG for one in findings):
         not_checked["friction, backlash"] = "the sensors contradict each other"
         return findings
     of_rig = {"friction": rig_findings.friction(motions), "backlash": rig_findings.backlash(motions)}

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from abrace_sysid.validity.kinematics import Kinematics
     from abrace_sysid.validity.motion import Motion
 
-AGREE = "sensors agree"
-"""Name of the check that sensors do not contradict each other."""
+WRONG = ("swapped sensors", "wrong unit", "wrong sign")
+"""Faults of channels after which no equation of floors and braces can hold."""
 
 SATURATED = (0.0, 0.02)
 """Share of a channel's samples at the end of its range: from more than the first on care is needed, from the second on
@@ -117,7 +117,7 @@ def contradicting(motion: Motion, band: tuple[float, float]) -> list[Finding]:
         [Hz] of the building's modes.
     """
     found = kinematics(motion, band)
-    check, source = AGREE, motion.source
+    check, source = "sensors agree", motion.source
     worst = max(found.contradictions.values(), default=0.0)
     findings = [
         Finding(
@@ -156,13 +156,13 @@ def _named(change: Change, source: str) -> tuple[str, str, str]:
     """Cause, meaning and advice of a change."""
     if change.kind == "swapped":
         both = " and ".join(change.channels)
-        return "swapped sensors", f"{both} are swapped in {source}", "Correct the channel list, or the cables"
+        return WRONG[0], f"{both} are swapped in {source}", "Correct the channel list, or the cables"
     (name,) = change.channels
     if change.kind == "reversed":
-        return "wrong sign", f"{name} has the wrong sign in {source}", "Turn the sensor, or its sign in the calibration"
+        return WRONG[2], f"{name} has the wrong sign in {source}", "Turn the sensor, or its sign in the calibration"
     size = f"{abs(change.factor):.4g} times too large" + (" and reversed" if change.factor < 0 else "")
     unit = f": {change.unit} in place of {signals.unit(name)}" if change.unit else ""
-    return "wrong unit", f"{name} is {size} in {source}{unit}", "Correct unit or sensitivity in the calibration"
+    return WRONG[1], f"{name} is {size} in {source}{unit}", "Correct unit or sensitivity in the calibration"
 
 
 def _late(found: Kinematics, source: str) -> list[Finding]:
