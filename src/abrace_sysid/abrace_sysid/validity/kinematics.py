@@ -43,7 +43,7 @@ UNITS: dict[str, dict[str, float]] = {
 
 CONTRADICTION = 0.02
 """Share of a channel's power, noise subtracted, that contradicts the others, from which on it is looked into. A rig as
-it is, with transducers of different bandwidths, has 0.0004; impacts of loose pins, which accelerometers alone feel, 0.006."""
+it is, with transducers of different bandwidths, has 0.0004; impacts of loose pins, which accelerometers feel, 0.006."""
 
 IMPROVEMENT = 0.5
 """Share of all contradictions that one change has to explain."""
