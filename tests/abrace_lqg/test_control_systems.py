@@ -13,7 +13,6 @@ import pytest
 
 import abrace_core
 import abrace_lqg
-import abrace_sysid
 from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel, load_model, save_model
@@ -75,7 +74,7 @@ def test_without_python_control_models_work_and_only_the_way_there_is_refused(
 
 def test_every_public_function_that_takes_a_model_takes_a_system_of_python_control():
     found = []
-    for package in (abrace_core, abrace_lqg, abrace_sysid):
+    for package in (abrace_core, abrace_lqg):
         for each in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             if ".node" in each.name:  # ROS
                 continue

@@ -5,7 +5,6 @@ Orders are tried on a part of the lines, each of which obeys the same model; wha
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -93,6 +92,7 @@ def try_orders(
     orders: Sequence[Order | tuple[int, int]],
     groups: int = 1,
     most: int = TRIAL_ITERATIONS,
+    starts: dict[tuple[int, int], NDArray[np.complex128]] | None = None,
 ) -> list[OrderTrial]:
     """Fits of one test, or of repeated ones, with each order.
 
@@ -108,13 +108,17 @@ def try_orders(
         Servos; the lag of each, its second real pole, is driven by its own command alone, in the order of the inputs.
     most
         Iterations of a fit.
+    starts
+        Starting poles by number of transfer function and of pairs, found before and to be found.
     """
     several = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
-    starting = functools.cache(lambda i, pairs: starting_poles(several[i], pairs, 2, groups))
+    known = {} if starts is None else starts
 
     def fitted(order: Order, i: int) -> OrderTrial:
         try:
-            poles = starting(i, order.pairs)[: order.pairs + order.reals * groups]
+            if (i, order.pairs) not in known:
+                known[i, order.pairs] = starting_poles(several[i], order.pairs, 2, groups)
+            poles = known[i, order.pairs][: order.pairs + order.reals * groups]
             driven = np.ones((len(poles), groups), dtype=np.bool_)
             if order.reals == 2:
                 driven[-groups:] = np.eye(groups)
@@ -187,11 +191,13 @@ def search_order(
     lines = (measured if isinstance(measured, FrequencyResponse) else measured[0]).omega
     few = [observation.thinned(SEARCH_LINES) for observation in observations]
     tried: list[OrderTrial] = []
-    found = None
+    found, starts = None, dict[tuple[int, int], "NDArray[np.complex128]"]()
     # the building's modes and more, whatever the servos are; fewer only if that leads nowhere
     for first in (pairs,) if fixed else range(pairs, 0, -1):
         for form in forms:
-            trials = _pairs_with(few, measured, form._replace(pairs=first), groups, fixed or first < pairs, lines)
+            trials = _pairs_with(
+                few, measured, form._replace(pairs=first), groups, fixed or first < pairs, lines, starts
+            )
             tried += trials
             # an order with a pair that is no mode is taken only where it was asked for
             fit = [one for one in trials if one.estimate and (fixed or not no_modes(one.estimate, lines))]
@@ -210,7 +216,7 @@ def search_order(
         # a servo with fewer poles than one that was worse is worse
         if form[1:] == found.order[1:] or form.reals < best.order.reals - 1:
             continue
-        (trial,) = try_orders(few, measured, [form._replace(pairs=found.order.pairs)], groups, FORM_ITERATIONS)
+        (trial,) = try_orders(few, measured, [form._replace(pairs=found.order.pairs)], groups, FORM_ITERATIONS, starts)
         if _description(trial) < _description(best) and (fixed or not no_modes(trial.estimate, lines)):
             best = trial
     near = best.estimate
@@ -232,22 +238,24 @@ def _pairs_with(
     groups: int,
     fixed: bool,
     lines: NDArray[np.float64],
+    starts: dict[tuple[int, int], NDArray[np.complex128]],
 ) -> list[OrderTrial]:
     """Trials with rising numbers of pairs, until more are no better; with fewer where the first is the best."""
     if fixed:
-        return try_orders(observations, measured, [first], groups)
+        return try_orders(observations, measured, [first], groups, starts=starts)
     trials: list[OrderTrial] = []
     best, least = 0, np.inf
-    for numbers in (range(first.pairs, first.pairs + MOST_MORE), range(first.pairs - 1, 0, -1)):
+    more, fewer = range(first.pairs, first.pairs + MOST_MORE), range(first.pairs - 1, 0, -1)
+    for numbers, vain in ((more, IN_VAIN), (fewer, 1)):
         in_vain = 0
         for pairs in numbers if best in (0, first.pairs) else ():
-            (trial,) = try_orders(observations, measured, [first._replace(pairs=pairs)], groups)
+            (trial,) = try_orders(observations, measured, [first._replace(pairs=pairs)], groups, starts=starts)
             trials.append(trial)
             if _description(trial) < least and not no_modes(trial.estimate, lines):
                 best, least, in_vain = pairs, _description(trial), 0
             else:
                 in_vain += 1
-            if in_vain == (IN_VAIN if best else MOST_FAILURES):
+            if in_vain == (vain if best else MOST_FAILURES):
                 break
         if not best:
             break
