@@ -21,6 +21,7 @@ from abrace.campaign.file import (
     load_campaign,
 )
 from abrace.campaign.motions import check_braces
+from abrace.campaign.offline import check_offline_steps
 from abrace.cli import main
 from abrace_core.errors import AbraceError
 from abrace_core.node import find_file
@@ -319,3 +320,56 @@ def test_a_mistake_is_named_with_file_step_key_and_value(tmp_path, written, mist
 def test_a_missing_file_is_named():
     with pytest.raises(AbraceError, match=r"campaign file none\.yaml: No such file"):
         load_campaign("none.yaml")
+
+
+def of_five_storeys(tmp_path: Path, old: str, new: str) -> Path:
+    text = DEMO.with_name("five_storeys.yaml").read_text()
+    assert old in text
+    path = tmp_path / "five.yaml"
+    path.write_text(text.replace(old, new, 1))
+    return path
+
+
+def test_the_campaigns_of_several_brace_groups_are_accepted_with_the_bands_of_their_tests():
+    for name, rig in (("five_storeys", "five_storey"), ("ten_storeys", "ten_storey")):
+        campaign = load_campaign(DEMO.with_name(f"{name}.yaml"))
+        check_offline_steps(campaign, load_rig(find_file(rig, "abrace_plant", "config", ".yaml", "rig")))
+        tasks = {step.name: step.task for step in campaign.steps}
+        assert tasks["model"].band_of("table", [tasks["table_noise"]]) == (0.3, 25.0)
+        assert tasks["model"].band_of("command", [tasks["command_noise"]]) == (0.3, 30.0)
+
+
+def test_every_parameter_of_identify_can_stand_in_a_campaign(tmp_path: Path):
+    given = "table: table_noise, command: command_noise, command_order: 14, table_band: [0.5, 20.0], mat: true"
+    path = of_five_storeys(tmp_path, "table: table_noise, command: command_noise", given)
+    task = {step.name: step.task for step in load_campaign(path).steps}["model"]
+    assert task.options == {"command_order": 14, "table_band": [0.5, 20.0], "mat": True}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("command: command_noise", "command: command_noise, fit: sk", r"model: identify\.fit: sk of 2 brace groups"),
+        (
+            "command: command_noise",
+            "command: command_noise, command_order: 8",
+            "command_order: 8, expected 0, or an",
+        ),
+        (
+            "command: command_noise",
+            "command: command_noise, table_band: [0.3, 30.0]",
+            "within the 0.1 to 25 Hz of",
+        ),
+        ("duration: 300.0", "duration: 40.0", "table_noise has 40 s, expected 60 s at least"),
+    ],
+)
+def test_what_a_rig_cannot_do_is_refused_before_its_tests(tmp_path: Path, old: str, new: str, message: str):
+    rig = load_rig(find_file("five_storey", "abrace_plant", "config", ".yaml", "rig"))
+    with pytest.raises(AbraceError, match=message):
+        check_offline_steps(load_campaign(of_five_storeys(tmp_path, old, new)), rig)
+
+
+def test_weights_of_floors_that_a_rig_has_not_are_refused_before_its_tests():
+    rig = load_rig(find_file("single_storey", "abrace_plant", "config", ".yaml", "rig"))
+    with pytest.raises(AbraceError, match="step lqg3: weights: measured: a2, a3, expected some of"):
+        check_offline_steps(load_campaign(DEMO), rig)

@@ -40,7 +40,7 @@ def noise(seed, rms):
 
 
 def multisine(number):
-    return repeated_multisine(SECONDS, 32.768, 500.0, (0.3, 30.0), RMS, 7, "odd", 0.0, (number, 2))
+    return repeated_multisine(120, 32.768, 500.0, (0.3, 30.0), RMS, 7, "odd", 0.0, (number, 2))
 
 
 def commands_of(five, rest, kind):
@@ -60,9 +60,9 @@ def test_two_brace_groups_are_identified_with_modes_common_to_all_tests(five, re
     assert [data.input for data in found.commands] == ["U1", "U2"]
     assert found.model.inputs == ("w", "U1", "U2")
     assert found.model.order == 2 * 7 + 4, "seven pairs, and of each servo a slow pole and a lag"
-    assert found.model.input_delay == pytest.approx((0.0, 0.0005, 0.001), abs=6e-5), "the digital servos' steps"
+    assert found.model.input_delay == pytest.approx((0.0, 0.0005, 0.001), abs=1e-4), "the digital servos' steps"
     fast = np.sort(five.model.poles().real)[:2]  # -1 / lag, with the building
-    assert found.reduced.input_delay == pytest.approx((0.0, 0.0005 - 1 / fast[0], 0.001 - 1 / fast[1]), abs=2e-5)
+    assert found.reduced.input_delay == pytest.approx((0.0, 0.0005 - 1 / fast[0], 0.001 - 1 / fast[1]), abs=5e-5)
     assert found.reduced.order == 10, "two states for each mode of the building"
     own = np.array(pole_table(five.model.poles()))
     pairs = np.array([(pair.frequency, pair.damping) for pair in found.poles.common_pairs])

@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 
 from abrace_core import signals
 from abrace_core.discretization import discretize
+from abrace_core.linear_model import takes_models
 from abrace_sysid.fitting.pole_basis import Sampling
 from abrace_sysid.spectra.fourier import spectra_of
 from abrace_sysid.spectra.frequency_response import sampled_response
@@ -135,6 +136,7 @@ class Dependence:
     total: NDArray[np.float64]
 
 
+@takes_models
 def residual_of(run: Run, inputs: tuple[str, ...], model: LinearModel, band: tuple[float, float]) -> Residual:
     """What `model` leaves over of a test with noise.
 
@@ -164,6 +166,7 @@ def residual_of(run: Run, inputs: tuple[str, ...], model: LinearModel, band: tup
     return Residual(run.source, inputs, outputs, lines, excitation, measured, left, power, period, poles, holds)
 
 
+@takes_models
 def residual_of_response(measured: FrequencyResponse, model: LinearModel, source: str) -> Residual:
     """What a model leaves over of a transfer function, of a periodic test.
 
