@@ -18,13 +18,13 @@ from abrace_sysid.validity.finding import Finding, Validity, Verdict
 from abrace_sysid.validity.judgement import judge, judge_failure
 from abrace_sysid.validity.kinematics import kinematics
 from abrace_sysid.validity.mechanics import backlashes, storey_frictions
-from abrace_sysid.validity.model_findings import disagreeing, lag_of_response
+from abrace_sysid.validity.model_findings import disagreeing, lag, lag_of_response
 from abrace_sysid.validity.motion import Motion
 from abrace_sysid.validity.prediction import predicted
 from abrace_sysid.validity.sensor_findings import dead, saturated
 from abrace_sysid.validity_results import write_validity
 
-BAND, OPTIONS = (0.3, 10.0), IdentificationOptions()
+BAND, OPTIONS = (0.3, 10.0), IdentificationOptions(servo_lag=0.0008)
 SECONDS = 80.0
 
 
@@ -228,6 +228,13 @@ def test_two_estimates_agree_within_their_deviations_and_where_the_difference_is
     assert finding(first, uncertain) == (Verdict.TRUST, "")
     assert finding(first, replace(first, damping=0.03)) == (Verdict.DONT, "friction")
     assert finding(local, replace(local, damping=0.03)) == (Verdict.CARE, "a mode too many")
+
+
+def test_a_lag_is_compared_with_the_bench_test_where_there_was_one():
+    (same,), (other,), (alone,) = (lag("U", "bags/command", 0.003, given) for given in (0.0028, 0.0008, 0.0))
+    assert (same.verdict, other.verdict, alone.verdict) == (Verdict.TRUST, Verdict.CARE, Verdict.TRUST)
+    assert other.cause == "lag"
+    assert alone.meaning == "U acts 3 ms late in bags/command, no bench test to compare with"
 
 
 def test_the_lag_of_a_servo_too_slow_for_a_pole_is_that_of_its_phase(identified):

@@ -282,11 +282,12 @@ def lag(command: str, source: str, measured: float, given: float) -> list[Findin
     command, source
         Its command, and the tests.
     measured, given
-        Seconds.
+        Seconds; 0 is given where there was no bench test.
     """
-    difference, limit = abs(measured - given), max(LAG_DIFFERENCE[0] * given, LAG_DIFFERENCE[1])
+    difference, limit = abs(measured - given) if given else 0.0, max(LAG_DIFFERENCE[0] * given, LAG_DIFFERENCE[1])
     verdict = judged(difference, limit)
-    meaning = f"{command} acts {1e3 * measured:.2g} ms late in {source}, servo_lag says {1e3 * given:.2g} ms"
+    bench = f"servo_lag says {1e3 * given:.2g} ms" if given else "no bench test to compare with"
+    meaning = f"{command} acts {1e3 * measured:.2g} ms late in {source}, {bench}"
     advice = "model.json has what was measured; set servo_lag to it, and look for filters and delays on the way"
     return [
         _finding(
