@@ -41,15 +41,15 @@ MOST_LEVERAGE = 0.9
 """Of a line in its own fit that HC3 allows for."""
 
 
-def covariance(likelihood: Likelihood, joint: bool = False) -> NDArray[np.float64]:
-    """Of the parameters of `Modes.parameters`, and if `joint` then of each channel's coefficients; 0: fixed.
+def covariance(likelihood: Likelihood, joint: Likelihood | None = None) -> NDArray[np.float64]:
+    """Of the parameters of `Modes.parameters`, and if `joint` is given of each channel's coefficients too; 0: fixed.
 
     Parameters
     ----------
     likelihood
         At its maximum.
     joint
-        Whether that of the coefficients is asked for: it grows with the square of the channels.
+        The likelihood of the same tests and modes that the coefficients are from; None: that of the modes is enough.
     """
     influence = _influence(likelihood, joint)
     by_lines, by_pieces = np.zeros_like(influence), np.zeros_like(influence)
@@ -86,7 +86,7 @@ def _kinds(likelihood: Likelihood) -> list[list[int]]:
 
 
 def _scatter(
-    likelihood: Likelihood, tests: list[int], joint: bool
+    likelihood: Likelihood, tests: list[int], joint: Likelihood | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Of the scores of tests of one kind: by lines, by pieces, and how many pieces are free; infinite: there are none.
 
@@ -110,17 +110,17 @@ def _scatter(
     return lines, apart.T @ apart * (count / (count - 1)), count - 1
 
 
-def _influence(likelihood: Likelihood, joint: bool) -> NDArray[np.float64]:
+def _influence(likelihood: Likelihood, joint: Likelihood | None) -> NDArray[np.float64]:
     """(parameters, scores) what a score moves: the inverse of the normal matrix, of coefficients too if `joint`."""
     of_modes = likelihood.inverse()
-    if not joint:
+    if joint is None:
         return of_modes
     parameters = len(of_modes)
-    sizes = [len(channel.triangle) for channel in likelihood.channels]
+    sizes = [len(channel.triangle) for channel in joint.channels]
     found = np.zeros((parameters + sum(sizes),) * 2)
     found[:parameters, :parameters] = of_modes
     first = parameters
-    for channel, size in zip(likelihood.channels, sizes, strict=True):
+    for channel, size in zip(joint.channels, sizes, strict=True):
         own = slice(first, first + size)
         inverse = linalg.solve_triangular(channel.triangle, np.eye(size))
         found[own, own] = inverse @ inverse.T
@@ -130,7 +130,7 @@ def _influence(likelihood: Likelihood, joint: bool) -> NDArray[np.float64]:
     return found
 
 
-def _scores(likelihood: Likelihood, test: int, joint: bool, in_time: bool) -> NDArray[np.float64]:
+def _scores(likelihood: Likelihood, test: int, joint: Likelihood | None, in_time: bool) -> NDArray[np.float64]:
     """(lines, scores) of one test: derivatives of its log likelihood, line by line or in as many pieces of time."""
     one, parameters = likelihood.tests[test], len(likelihood.gradient)
     lines = len(one.measured) // 2
@@ -143,8 +143,10 @@ def _scores(likelihood: Likelihood, test: int, joint: bool, in_time: bool) -> ND
         moved = sparse.csr_matrix(one.combination(channel.coefficients, parameters).T)
         slopes = (moved @ one.slopes.T).T - one.basis @ channel.projection[own]
         found[:, :parameters] += _product(_paired(slopes, in_time), residual)
-        if joint:
-            found[:, parameters + c * size + own] = _product(_paired(one.basis, in_time), residual)
+        if joint is not None:
+            alike = joint.channels[c]
+            left = (one.measured[:, c] - one.basis @ alike.coefficients[own]) / alike.power[test]
+            found[:, parameters + c * size + own] = _product(_paired(one.basis, in_time), _paired(left, in_time))
     return found * (lines if in_time else 1)
 
 

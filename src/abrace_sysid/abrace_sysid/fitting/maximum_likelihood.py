@@ -19,6 +19,7 @@ poles allows for that, for coloured noise and for nonlinear distortion, without 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -109,8 +110,10 @@ def fit_poles(
         )
     found = likelihood.modes
     require_stable(found.poles, where)
-    coefficients = np.array([one.coefficients for one in likelihood.channels])
-    spread = covariance(likelihood, joint)
+    # weights are about what all channels tell of the modes together: of its shapes each tells by itself
+    alike = Likelihood.at([replace(one, weight=1.0) for one in observations], inputs, found) or likelihood
+    coefficients = np.array([one.coefficients for one in alike.channels])
+    spread = covariance(likelihood, alike if joint else None)
     of_modes = spread[: len(likelihood.gradient), : len(likelihood.gradient)]
     return PoleEstimate(
         found.poles,
