@@ -122,9 +122,8 @@ def identify(
     table
         One test or several: noise or a multisine on the table, zero command.
     command
-        Likewise with commands, the table at rest; or the same tests, if multisines ran on both at once on lines of
-        their own. Of several brace groups each alone, or all at once: noise that is not correlated, or multisines on
-        lines of their own.
+        Likewise with commands, the table at rest; or the same tests, if both ran at once: noise that is not correlated,
+        or multisines on lines of their own. Of several brace groups each alone, or all at once likewise.
     options
         By default those of `IdentificationOptions`.
     progress
@@ -149,9 +148,19 @@ def identify(
         for run in commands:
             require_at_rest(run, signals.GROUND, tables[0])
     progress("transfer functions from the table", 0.05)
-    from_table = _test_data(tables, (signals.GROUND,), options.table_band, options, same_tests)[0]
-    progress("transfer functions from the command", 0.2)
-    from_commands = _command_tests(commands, options, same_tests)
+    noise_on_both: tuple[str, ...] = ()
+    if same_tests and not find_period(held_input(tables[0], signals.GROUND)):
+        # where all are excited; each alone would have the leakage of the others
+        low, high = (f(*edges) for f, *edges in zip((max, min), options.table_band, options.command_band, strict=True))
+        together = _test_data(tables, (signals.GROUND, *names), (low, high), options)
+        from_table, from_commands = together[0], together[1:]
+        noise_on_both = (
+            f"{tables[0].source}: noise on table and commands at once is used from {low:g} to {high:g} Hz",
+        )
+    else:
+        from_table = _test_data(tables, (signals.GROUND,), options.table_band, options)[0]
+        progress("transfer functions from the command", 0.2)
+        from_commands = _command_tests(commands, options)
     outputs = [name for name in from_table.outputs if all(name in data.outputs for data in from_commands)]
     from_table, from_commands = from_table.select(outputs), tuple(data.select(outputs) for data in from_commands)
 
@@ -192,9 +201,8 @@ def identify(
     misfits = [sentence for data in tests for sentence in _misfits(model, data)]
     if poles.estimate is not None:
         misfits += _lags_that_differ(delays, from_commands, options)
-    warnings = tuple(
-        dict.fromkeys([*(sentence for data in tests for sentence in data.warnings), *poles.warnings, *misfits])
-    )
+    of_tests = (*(sentence for data in tests for sentence in data.warnings), *noise_on_both)
+    warnings = tuple(dict.fromkeys([*of_tests, *poles.warnings, *misfits]))
     reduction = replace(reduction, model=reduced)
     covariance = None if poles.estimate is None else modal_covariance(poles.estimate)
     return Identification(
@@ -255,7 +263,7 @@ def _superposed(
     return superpose(parts, (table.input, *(command.input for command in commands)), table.outputs)
 
 
-def _command_tests(runs: tuple[Run, ...], options: IdentificationOptions, same_tests: bool) -> tuple[TestData, ...]:
+def _command_tests(runs: tuple[Run, ...], options: IdentificationOptions) -> tuple[TestData, ...]:
     """The tests of each command: alone, or all that were excited at once."""
     names = runs[0].command_names
     kinds: dict[tuple[str, ...], list[Run]] = {}
@@ -264,7 +272,7 @@ def _command_tests(runs: tuple[Run, ...], options: IdentificationOptions, same_t
         kinds.setdefault(excited, []).append(run)
     found: dict[str, TestData] = {}
     for excited, same in kinds.items():
-        for data in _test_data(tuple(same), excited, options.command_band, options, same_tests):
+        for data in _test_data(tuple(same), excited, options.command_band, options):
             if data.input in found:
                 others = ", ".join(run.source for run in found[data.input].runs)
                 raise AbraceError(
@@ -284,7 +292,6 @@ def _test_data(
     names: tuple[str, ...],
     band: tuple[float, float],
     options: IdentificationOptions,
-    same_tests: bool,
 ) -> tuple[TestData, ...]:
     """Check the tests of inputs that were excited together, and estimate the transfer functions of each."""
     periods = [max((find_period(held_input(run, name)) or 0 for name in names), default=0) or None for run in runs]
@@ -292,11 +299,6 @@ def _test_data(
     named = " and ".join(names)
     if any(periodic) and not all(periodic):
         raise AbraceError(f"tests of {named}: {periodic.count(True)} of {len(runs)} are periodic, expected all or none")
-    if same_tests and not all(periodic):
-        raise AbraceError(
-            f"{runs[0].source}: table and command in one test with noise, expected two tests, or multisines on odd "
-            "lines and on even ones: noise on both leaves each test with the other's leakage"
-        )
     recordings = [prepare(run, names, band, period) for run, period in zip(runs, periods, strict=True)]
     prepared = tuple(recording.run for recording in recordings)
     if all(periodic):

@@ -373,7 +373,7 @@ def _check_references(where: str, task: Task, earlier: dict[str, Task]) -> None:
             of_table = (_moves_table_alone, "an earlier test of the table alone")
             of_command = (_pushes_alone, "an earlier test with excitation alone")
             if task.table == task.command and any(_is_test_that(_moves_both, earlier.get(n)) for n in task.table):
-                of_table = of_command = (_moves_both, "an earlier test of multisines on table and command")
+                of_table = of_command = (_moves_both, "an earlier test of noise, or multisines, on table and command")
             for key, names, (fits, expected) in (
                 ("table", task.table, of_table),
                 ("command", task.command, of_command),
@@ -433,7 +433,10 @@ def _pushes_alone(test: RigTest) -> bool:
 
 
 def _moves_both(test: RigTest) -> bool:
-    return isinstance(test.excitation, Multisine) and isinstance(test.ground_motion, Multisine)
+    """Table and commands at once: noise, or multisines."""
+    drives = (test.excitation, test.ground_motion)
+    periodic = [isinstance(drive, Multisine) for drive in drives]
+    return all(isinstance(drive, BandedNoise) for drive in drives) and periodic[0] == periodic[1]
 
 
 def _is_test_that(fits: Callable[[RigTest], bool], task: Task | None) -> bool:

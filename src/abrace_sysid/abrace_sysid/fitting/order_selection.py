@@ -106,6 +106,7 @@ def try_orders(
         To try; of two numbers, pairs and reals.
     groups
         Servos; the lag of each, its second real pole, is driven by its own command alone, in the order of the inputs.
+        An input more than there are servos is the table, the first one, which drives everything but lags.
     most
         Iterations of a fit.
     starts
@@ -113,19 +114,20 @@ def try_orders(
     """
     several = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
     known = {} if starts is None else starts
+    ground = len({name for observation in observations for name in observation.inputs}) - groups
 
     def fitted(order: Order, i: int) -> OrderTrial:
         try:
             if (i, order.pairs) not in known:
                 known[i, order.pairs] = starting_poles(several[i], order.pairs, 2, groups)
             poles = known[i, order.pairs][: order.pairs + order.reals * groups]
-            driven = np.ones((len(poles), groups), dtype=np.bool_)
+            driven = np.ones((len(poles), ground + groups), dtype=np.bool_)
             if order.reals == 2:
-                driven[-groups:] = np.eye(groups)
+                driven[-groups:] = np.eye(ground + groups)[ground:]
             if order.reals and not order.coupled:
-                driven[order.pairs : order.pairs + groups] = np.eye(groups)
+                driven[order.pairs : order.pairs + groups, ground:] = np.eye(groups)
             first = {"direct": np.nan, "lag": 0.0, "delay": FIRST_DELAY * several[i].sample_period}
-            delays = np.full(groups, first[order.servo])
+            delays = np.append([np.nan] * ground, np.full(groups, first[order.servo]))
             return OrderTrial(order, fit_poles(observations, poles, driven, most=most, delays=delays))
         except AbraceError as error:
             return OrderTrial(order, None, str(error))

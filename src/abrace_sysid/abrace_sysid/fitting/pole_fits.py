@@ -131,6 +131,53 @@ def _maximum_likelihood(
     progress: Callable[[str, float], None],
 ) -> PoleFit:
     """Table and commands alone, then both with one set of modes: the commands', of which the table shows some."""
+    responses = [data.responses[0] for data in commands]
+    if len(table.together) > 1:
+        progress("maximum likelihood, both", 0.5)
+        of_both = _of_tests_with_all_inputs(table, commands, floors, options)
+        of_table = of_command = of_both
+    else:
+        of_table, of_command, of_both = _of_tests_apart(table, commands, floors, options, progress)
+    highest = responses[0].omega[-1]
+    building = building_modes(of_both, floors)
+    if not len(building):
+        raise AbraceError(f"{table.source}: no pair is a mode of the building, expected up to {floors}")
+    in_table, in_command = (same_modes(of_both, building, other) for other in (of_table, of_command))
+    reals = _reals(of_both.poles)
+    heavy = no_modes(of_both, responses[0].omega)
+    return PoleFit(
+        _with_conjugates(of_table.poles[in_table[in_table >= 0]]),
+        _with_conjugates(_upper(of_command.poles)),
+        np.concatenate([_with_conjugates(_upper(of_both.poles)), reals[np.abs(reals) <= highest]]),
+        _pairs_at(of_table, in_table),
+        tuple(of_command.pairs()),
+        tuple(pair for pair in of_both.pairs() if pair not in heavy),
+        _with_conjugates(of_command.poles[in_command[in_command >= 0]]),
+        of_both,
+        _remarks(table, of_both, building, in_table, heavy, floors),
+    )
+
+
+def _of_tests_with_all_inputs(
+    table: TestData, commands: Sequence[TestData], floors: int, options: IdentificationOptions
+) -> PoleEstimate:
+    """The modes of tests in which table and commands were excited at once by noise."""
+    responses = side_by_side([data.responses[0] for data in (table, *commands)])
+    given, groups = options.command_order // 2, len(commands)
+    tests = _observations([table])
+    first = search_order(tests, responses, given or floors, _servos(groups), groups, given > 0)
+    tests, found = _with_noise_as_found(tests, first)
+    return fit_poles(tests, found.poles, found.drive != 0, joint=True, delays=found.delays)
+
+
+def _of_tests_apart(
+    table: TestData,
+    commands: Sequence[TestData],
+    floors: int,
+    options: IdentificationOptions,
+    progress: Callable[[str, float], None],
+) -> tuple[PoleEstimate, PoleEstimate, PoleEstimate]:
+    """The modes of the table test, of those of the commands, and of all."""
     top, highest = (data.responses[0].omega[-1] for data in (table, commands[0]))
     progress("maximum likelihood, table", 0.5)
     from_table, measured = _observations([table]), table.responses[0]
@@ -154,23 +201,7 @@ def _maximum_likelihood(
     delays = np.concatenate([[np.nan], of_command.delays])
     tests = [*(replace(one, poles=shown) for one in from_table), *from_command]
     of_both = fit_poles(tests, poles, driven, joint=True, delays=delays)
-    building = building_modes(of_both, floors)
-    if not len(building):
-        raise AbraceError(f"{table.source}: no pair is a mode of the building, expected up to {floors}")
-    in_table, in_command = (same_modes(of_both, building, other) for other in (of_table, of_command))
-    reals = _reals(of_both.poles)
-    heavy = no_modes(of_both, responses[0].omega)
-    return PoleFit(
-        _with_conjugates(of_table.poles[in_table[in_table >= 0]]),
-        _with_conjugates(_upper(of_command.poles)),
-        np.concatenate([_with_conjugates(_upper(of_both.poles)), reals[np.abs(reals) <= highest]]),
-        _pairs_at(of_table, in_table),
-        tuple(of_command.pairs()),
-        tuple(pair for pair in of_both.pairs() if pair not in heavy),
-        _with_conjugates(of_command.poles[in_command[in_command >= 0]]),
-        of_both,
-        _remarks(table, of_both, building, in_table, heavy, floors),
-    )
+    return of_table, of_command, of_both
 
 
 def _with_noise_as_found(

@@ -33,8 +33,8 @@ START_ITERATIONS, START_LINES = 10, 3000
 CONVERGED = 1e-6
 """Relative movement of every pole that ends the iterations."""
 
-START_CHANNELS = 16
-"""Channels, or sums of more channels, that starting poles are looked for in."""
+START_CHANNELS, RANDOM_CHANNELS = 12, 6
+"""Sums of channels that starting poles are looked for in, where there are more channels: the strongest, and random."""
 
 START_DAMPING = 0.01
 
@@ -205,15 +205,18 @@ def _strongest_channels(measured: FrequencyResponse) -> FrequencyResponse:
 
     Each channel counts by its response over its noise.
     """
-    if len(measured.outputs) <= START_CHANNELS:
+    if len(measured.outputs) <= START_CHANNELS + RANDOM_CHANNELS:
         return measured
     noise = np.sqrt(np.mean(measured.sigma**2, axis=0))
     unit = np.maximum(noise, 1e-9 * np.sqrt(np.mean(np.abs(measured.response) ** 2, axis=0)))
     unit[unit == 0] = 1.0
     scaled = measured.response / unit
-    share = np.linalg.svd(np.vstack([scaled.real, scaled.imag]), full_matrices=False)[2][:START_CHANNELS].T
+    strongest = np.linalg.svd(np.vstack([scaled.real, scaled.imag]), full_matrices=False)[2][:START_CHANNELS].T
+    # a narrow mode has little of all power: sums drawn at random show it too
+    drawn = np.random.default_rng(0).standard_normal((len(unit), RANDOM_CHANNELS)) / np.sqrt(len(unit))
+    share = np.hstack([strongest, drawn])
     sigma = np.sqrt((measured.sigma / unit) ** 2 @ share**2)
-    names = tuple(f"sum {i}" for i in range(START_CHANNELS))
+    names = tuple(f"sum {i}" for i in range(share.shape[1]))
     return replace(measured, outputs=names, response=scaled @ share, sigma=sigma)
 
 
