@@ -14,7 +14,7 @@ from abrace_sysid.identification import identify
 from abrace_sysid.validation import compare
 
 OPTIONS = IdentificationOptions(table_band=(0.3, 25.0))
-SECONDS = 90
+SECONDS = 100
 RMS = 3500.0
 
 
