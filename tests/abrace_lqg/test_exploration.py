@@ -7,6 +7,7 @@ import io
 import json
 import multiprocessing
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from abrace_core.response import PeakRms
 from abrace_core.run import Run
 from abrace_core.simulation import simulate_closed_loop
 from abrace_lqg.analysis.margins import Margins
+from abrace_lqg.analysis.prediction import Excitation
 from abrace_lqg.design import design
 from abrace_lqg.exploration import cluster as exploration_cluster
 from abrace_lqg.exploration.cluster import cluster, explore
@@ -27,7 +29,9 @@ from abrace_lqg.exploration.files import load_set, save_exploration, write_set
 from abrace_lqg.exploration.report import pareto_front, report
 from abrace_lqg.exploration.study import Outcome, Study, evaluate
 from abrace_lqg.exploration.weight_sets import weight_sets
+from abrace_lqg.scaling import scaled_weights
 from abrace_lqg.weights import KindWeights, Weights, load_weights
+from abrace_plant.rig.file import load_rig
 
 PERIOD = 0.01
 MASS, CAPACITY = 1000.0, np.array([2000.0])
@@ -247,3 +251,19 @@ def test_the_report_lists_the_front_from_least_to_most_force(outcomes):
     assert forces == sorted(forces)
     assert responses == sorted(responses, reverse=True)
     assert PeakRms(*(round(value) for value in outcomes[int(rows[0][0])].command)).rms == forces[0]
+
+
+def test_sets_of_weights_are_tried_on_a_rig_with_two_brace_groups():
+    rig = load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/five_storey.yaml")
+    half = load_weights(Path(__file__).parents[2] / "src/abrace_lqg/config/half.yaml")
+    weights = scaled_weights(rig.model, half, 0.002, rig.capacity.tolist(), Excitation())
+    motion = [noise_motion(1, 10.0, (0.3, 10.0), 0.002).scaled(1.0)]
+    five = Study.of(rig.model, rig.model, motion, capacity=rig.capacity, sample_period=0.002)
+    sets = weight_sets(weights, {"displacement": (-2.0, 1.0)}, 2, 1)
+    found = [evaluate(five, number, one) for number, one in enumerate(sets)]
+    assert not any(outcome.refused for outcome in found)
+    for outcome in found:
+        assert outcome.response("displacement") < 1.0
+        assert {"U1", "U2"} <= set(outcome.records[0])
+        assert outcome.margins.gain > 6.0
+    assert trade_off(found).axes
