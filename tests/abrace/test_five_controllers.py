@@ -135,7 +135,7 @@ def test_lqg3_damps_the_building(designs: Designs, rig: Rig):
 @pytest.mark.parametrize("title", ["consistent", "rig"])
 def test_peak_commands_are_those_stated_in_the_files(tables: dict[str, dict[str, Table]], title: str):
     found = [tables[name][title]["U"].peak for name in NAMES]
-    np.testing.assert_allclose(found, [681, 1121, 1471, 866, 1518], rtol=0.01)
+    np.testing.assert_allclose(found, [681, 1121, 1479, 866, 1525], rtol=0.005)
 
 
 @pytest.mark.parametrize("title", ["consistent", "rig"])
