@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from abrace_plant.rig.building import Building, modal_damping
 from abrace_plant.rig.model import BraceGroup
 from abrace_plant.rig.sensors import SensorSet
 from abrace_sysid.fitting.options import IdentificationOptions
+from abrace_sysid.fitting.order_selection import no_modes
 from abrace_sysid.fitting.pole_estimate import PoleInterval
 from abrace_sysid.identification import identify
 from abrace_sysid.spectra.estimation import TransferFunctionOptions
@@ -214,13 +216,11 @@ def test_a_local_mode_among_the_buildings_hides_none_of_them(rig, laboratory_of)
     assert not found.warnings
 
 
-def test_a_pair_that_is_no_mode_is_named_and_not_among_the_poles(table_test, command_test):
-    found = identify(table_test, command_test, IdentificationOptions(command_order=14))
-    frequencies = [pair.frequency for pair in found.poles.common_pairs]
-    heavy = [pair for pair in found.poles.command_pairs if pair.damping > 0.3 or pair.frequency > 189]
-    if heavy:
-        assert len(frequencies) == 6
-        assert any("no modes, and left out of the poles" in warning for warning in found.warnings)
+def test_a_pair_beyond_the_band_or_damped_too_much_is_no_mode():
+    pairs = [PoleInterval(w, zeta, 0.01, 0.001) for w, zeta in ((7.0, 0.01), (60.0, 0.99), (200.0, 0.02), (1.0, 0.1))]
+    estimate = SimpleNamespace(pairs=lambda: pairs)
+    assert no_modes(estimate, np.linspace(2.0, 188.0, 100)) == pairs[1:]
+    assert no_modes(None, np.linspace(2.0, 188.0, 100)) == []
 
 
 def test_a_rig_of_two_storeys_is_identified_by_the_same_code(rig, laboratory_of):
