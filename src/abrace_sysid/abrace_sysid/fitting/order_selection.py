@@ -252,6 +252,11 @@ def _pairs_with(
         in_vain = 0
         for pairs in numbers if best in (0, first.pairs) else ():
             (trial,) = try_orders(observations, measured, [first._replace(pairs=pairs)], groups, starts=starts)
+            if (
+                trial.estimate is None and first.reals == 2
+            ):  # its fast poles, of which lags, filters and delays make one
+                simpler = first._replace(pairs=pairs, reals=1, servo="direct")
+                (trial,) = try_orders(observations, measured, [simpler], groups, starts=starts)
             trials.append(trial)
             if _description(trial) < least and not no_modes(trial.estimate, lines):
                 best, least, in_vain = pairs, _description(trial), 0

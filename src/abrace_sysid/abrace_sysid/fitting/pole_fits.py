@@ -193,11 +193,16 @@ def _of_tests_apart(
     from_command, of_command = _with_noise_as_found(from_command, of_command)
 
     progress("maximum likelihood, both", 0.75)
-    poles = of_command.poles
+    poles, drive = of_command.poles, of_command.drive
+    slow = _reals(of_table.poles)
+    if len(slow) and not (np.abs(_reals(poles)) < highest).any():
+        # where filters and servo are slow the fit may take both real poles for them: the table still shows the slow one
+        poles = np.append(poles, slow[:1])
+        drive = np.vstack([drive, np.ones((1, len(commands)))])
     lags = (poles.imag == 0) & (np.abs(poles) > highest)
     shown = tuple(int(i) for i in np.flatnonzero((np.abs(poles) <= top) & ~lags))
     # each lag is driven by the command that drives it alone, and not by the table
-    driven = np.hstack([np.ones((len(poles), 1), dtype=np.bool_), of_command.drive != 0])
+    driven = np.hstack([np.ones((len(poles), 1), dtype=np.bool_), drive != 0])
     delays = np.concatenate([[np.nan], of_command.delays])
     tests = [*(replace(one, poles=shown) for one in from_table), *from_command]
     of_both = fit_poles(tests, poles, driven, joint=True, delays=delays)
