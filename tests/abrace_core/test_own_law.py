@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from abrace_core.errors import AbraceError
-from abrace_core.own_law import GuardedLaw, law_options
+from abrace_core.own_law import GuardedLaw, law_options, made_law
 
 Z = (0.1, 0.2, 0.3, 0.01, 1.0, 2.0, 3.0, 500.0)
 """Three floors, one brace group."""
@@ -57,6 +57,14 @@ def test_what_the_constructor_takes_are_the_parameters():
             pass
 
     assert law_options(Own) == {"gain": 2.0, "name": "a", "steps": 3, "on": True, "floors": [1, 2]}
+
+
+def test_a_law_that_cannot_be_made_is_named():
+    def own(gain):
+        raise ValueError(f"no table for {gain}")
+
+    with pytest.raises(AbraceError, match=r"own: ValueError: no table for 2\.0"):
+        made_law(own, {"gain": 2.0})
 
 
 @pytest.mark.parametrize("default", ["", "=None", "={}", "=()"])

@@ -68,6 +68,19 @@ def test_an_operator_sees_stops_clears_and_sets_without_ros2(graph):
     assert errors == f"abrace: node plan: not found, expected {logger} or {plant}\n"
 
 
+def test_what_ros_cannot_take_is_one_line(monkeypatch):
+    for value in ("{a: 1}", "a: b: c"):
+        code, output, errors = abrace("set", "plant", "seed", value)
+        assert (code, output) == (2, "")
+        assert errors == f"abrace: value {value}: expected a number, a text, true or false, or a list of them\n"
+    monkeypatch.setenv("ROS_DOMAIN_ID", "nine")
+    code, output, errors = abrace("status")
+    assert (code, output) == (2, "")
+    assert errors.startswith("abrace: ROS: ")
+    assert "ROS_DOMAIN_ID is not an integral number" in errors
+    assert len(errors.splitlines()) == 1
+
+
 def test_where_nobody_listens_a_stop_says_so_and_the_domain_is_asked_for():
     code, output, errors = abrace("stop")
     assert (code, output) == (1, "")

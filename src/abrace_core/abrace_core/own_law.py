@@ -86,6 +86,14 @@ def law_options(law: Callable[..., Law]) -> dict[str, Any]:
     return found
 
 
+def made_law(law: Callable[..., Law], options: dict[str, Any]) -> Law:
+    """The `law` with these `options`; an AbraceError says why it cannot be made."""
+    try:
+        return law(**options)
+    except Exception as error:
+        raise AbraceError(f"{law.__name__}: {type(error).__name__}: {error}") from error
+
+
 class GuardedLaw:
     """A law as a node uses it: its forces fade in, and what goes wrong in it is an AbraceError.
 

@@ -15,10 +15,11 @@ from rclpy.parameter import get_parameter_value
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
+from yaml import YAMLError
 
 from abrace.report.node_table import NodeReport, node_table
 from abrace_core.errors import AbraceError
-from abrace_core.node import DIAGNOSTICS, TRANSIENT_LOCAL_QOS
+from abrace_core.node import DIAGNOSTICS, TRANSIENT_LOCAL_QOS, RCLError, rcl_message
 from abrace_core.node.transport import for_streams
 from abrace_core.safety.stop_senders import UNNAMED
 
@@ -49,9 +50,12 @@ class Operator:
 
     def __enter__(self) -> Self:
         self._context = rclpy.Context()
-        with for_streams():  # what is lost on the way is sent again at once
-            self._context.init()
-            self.node = rclpy.create_node("operator", context=self._context, start_parameter_services=False)
+        try:
+            with for_streams():  # what is lost on the way is sent again at once
+                self._context.init()
+                self.node = rclpy.create_node("operator", context=self._context, start_parameter_services=False)
+        except RCLError as error:
+            raise AbraceError(f"ROS: {rcl_message(error)}") from error
         rclpy.signals.install_signal_handlers(SignalHandlerOptions.NO)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
@@ -193,12 +197,18 @@ def clear(node: str) -> int:
 
 def set_parameter(node: str, parameter: str, value: str) -> int:
     """Set a `parameter` of a `node` to a `value`, written as in YAML; returns the exit code: 1 if that is refused."""
+    wrong = AbraceError(f"value {value}: expected a number, a text, true or false, or a list of them")
+    try:
+        given = get_parameter_value(value)
+    except YAMLError as error:
+        raise wrong from error
+    if not isinstance(given.string_value, str):  # rclpy takes a mapping for a text
+        raise wrong
     with Operator() as operator:
         name = operator.full_name(node)
         described = operator.call(
             DescribeParameters, f"{name}/describe_parameters", DescribeParameters.Request(names=[parameter])
         )
-        given = get_parameter_value(value)
         types = [one.type for one in described.descriptors]
         if types == [ParameterType.PARAMETER_DOUBLE] and given.type == ParameterType.PARAMETER_INTEGER:
             given = get_parameter_value(f"{given.integer_value}.0")

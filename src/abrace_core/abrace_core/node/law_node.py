@@ -11,7 +11,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.node.brace_commander import BraceCommander
 from abrace_core.node.parameters import Parameter
 from abrace_core.node.process import run
-from abrace_core.own_law import GuardedLaw, law_options
+from abrace_core.own_law import GuardedLaw, law_options, made_law
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,7 +40,7 @@ class LawNode(BraceCommander):
     def configure(self) -> None:
         """Make the law, with the node's parameters."""
         given = self.parameters
-        law = type(self).law(**{name: getattr(given, name) for name in self.options})
+        law = made_law(type(self).law, {name: getattr(given, name) for name in self.options})
         self.guarded = GuardedLaw(law, 1 / given.sample_rate, given.ramp_time)
         self.nothing = np.zeros(len(given.force_limit))
         self.create_topics(1 / given.sample_rate, given.force_limit)

@@ -227,7 +227,11 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
     arguments = list(sys.argv if arguments is None else arguments)
     program = arguments[0].rsplit("/", 1)[-1]
     if {"-h", "--help"} & set(arguments[1:]):
-        _describe(create)
+        try:
+            _describe(create)
+        except AbraceError as error:
+            print(f"{program}: {error}", file=sys.stderr, flush=True)
+            return 2
         return 0
     if "--version" in arguments[1:]:
         print(f"{program} of abrace {version('abrace_core')}")
