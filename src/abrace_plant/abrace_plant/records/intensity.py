@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.integrate import trapezoid
 
 from abrace_plant.records.record import check_record
 
@@ -127,7 +126,7 @@ def intensity(motion: Record) -> Intensity:
         peak_velocity=float(np.abs(velocity).max()),
         peak_displacement=float(np.abs(displacement).max()),
         arias_intensity=float(built_up[-1]),
-        cumulative_absolute_velocity=float(trapezoid(size, dx=period)),
+        cumulative_absolute_velocity=float(period * (size.sum() - (size[0] + size[-1]) / 2)),
         significant_from=begin,
         significant_to=end,
     )

@@ -11,7 +11,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft, signal
+from scipy import fft
 
 from abrace_core.errors import AbraceError
 from abrace_plant.records.intensity import integrate
@@ -230,6 +230,8 @@ def _resample(
     only_resampled = limit == min(1 / period, sample_rate) / 2
     if up == down == 1 and only_resampled:
         return padded[:samples]
+    from scipy import signal  # imports for half a second; white noise, say, needs none of it
+
     rate = up / period
     stopband = RESAMPLING_STOPBAND if only_resampled else STOPBAND
     length, beta = signal.kaiserord(stopband, (1 - PASSBAND) * limit / (rate / 2))
