@@ -103,6 +103,22 @@ def test_a_wrong_gain_is_named(shaken, factor):
     assert faults(readings) == {"a2": ("gain",)}
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda force: -force, "wrong sign: fb against fa"),
+        (lambda force: 1.25 * force, "gain: 1.25 times what fa says"),
+        (lambda force: force[::-1], "apart: does not move as fa, of the same brace group"),
+    ],
+)
+def test_a_load_cell_is_compared_with_the_other_of_its_group(shaken, change, said):
+    readings, channel = shaken.copy(), CHANNELS.index("fb")
+    readings[:, channel] = change(readings[:, channel])
+    found = {one.name: one.faults for one in check_sensors(RIG, readings).channels if one.faults}
+    assert set(found) == {"fa", "fb"}
+    assert found["fb"] == (said,)
+
+
 def test_drift_is_the_change_over_the_record(at_rest):
     readings = at_rest.copy()
     readings[:, 0] += np.linspace(0, 0.002, SAMPLES)

@@ -4,7 +4,8 @@ A floor's accelerometer reads the second derivative of its displacement plus the
 building is; a brace's stroke is `cosine` times the drift of its storey. So with motion enough in a record every channel
 can be predicted from others. A channel that another floor's prediction fits, and its own does not, is swapped; one that
 fits with a minus has the wrong sign. Both are compared in the frequency domain, each frequency weighted by the noise
-that the two sides have there.
+that the two sides have there. The braces of a group have the same command and the same drift: their load cells read
+the same force.
 """
 
 from __future__ import annotations
@@ -206,7 +207,33 @@ def _compare(
     storeys = [f"the drift of storey {group.floor}" for group in rig.braces]
     weight = np.full_like(squares, 1 / (power * (noise[floors] ** 2 + 2 * x_noise**2)))
     strokes = list(names[floors : floors + groups])
+    first = 2 * floors + groups
+    for count in rig.braces_in_group:
+        _compare_cells(spectra[:, first : first + count], noise[first] ** 2 * power, names[first:], faults[first:])
+        first += count
     return _judge(stroke, drifts, weight, strokes, storeys, faults[floors : floors + groups]) and motion
+
+
+def _compare_cells(
+    forces: NDArray[np.complex128], noise: float, names: Sequence[str], faults: Sequence[list[str]]
+) -> None:
+    """Compare each load cell of a group (frequencies, cells) with the mean of the others; `noise`: power of a line."""
+    cells, sums = forces.shape[1], forces.sum(axis=1)
+    if cells == 1 or any("dead" in text for each in faults[:cells] for text in each):
+        return
+    for i in range(cells):
+        own, others = forces[:, i], (sums - forces[:, i]) / (cells - 1)
+        sizes = [float(np.vdot(one, one).real) for one in (own, others)]
+        if max(sizes) < MOTION**2 * noise * len(own):
+            continue
+        cross = float(np.vdot(others, own).real)
+        who = " and ".join(name for j, name in enumerate(names[:cells]) if j != i)
+        if cross**2 < (1 - FITS) * sizes[0] * sizes[1]:
+            faults[i].append(f"apart: does not move as {who}, of the same brace group")
+        elif cross < 0:
+            faults[i].append(f"wrong sign: {names[i]} against {who}")
+        elif abs(gain := cross / sizes[1] - 1) > GAIN_ERROR:
+            faults[i].append(f"gain: {1 + gain:.3g} times what {who} says")
 
 
 def _judge(
