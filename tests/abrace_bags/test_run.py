@@ -119,7 +119,9 @@ def test_a_rig_that_was_activated_again_gives_a_run_each_time(tmp_path: Path) ->
     bag = write(tmp_path / "bag", [response(k) for k in numbers], {"sample_period": "0.002"})
     runs = read_runs(bag)
     assert [(int(run.sequence[0]), run.sequence.size) for run in runs] == [(928, 1072), (0, 1000), (0, 2000)]
-    assert [run.time[-1] for run in runs] == pytest.approx([2.142, 1.998, 3.998], rel=1e-12)
+    # the first record began late, at sample 928, and keeps its time
+    assert [run.time[0] for run in runs] == pytest.approx([1.856, 0.0, 0.0], rel=1e-12)
+    assert [run.time[-1] for run in runs] == pytest.approx([3.998, 1.998, 3.998], rel=1e-12)
     assert runs[1].source == f"{bag}, run 2 of 3"
     with pytest.raises(AbraceError, match=r"sample 1999 is followed by sample 0 \(the rig was activated again\)"):
         read_run(bag)

@@ -74,8 +74,8 @@ class Run:
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """(samples,) seconds since the first sample."""
-        return (self.sequence - self.sequence[0]).astype(np.float64) * self.sample_period
+        """(samples,) seconds since the rig's sample 0, which a record that began late has not."""
+        return self.sequence.astype(np.float64) * self.sample_period
 
     @property
     def clipped_samples(self) -> dict[str, int] | None:
