@@ -80,9 +80,9 @@ def test_select_takes_rows_and_columns_by_name_and_in_order():
     assert (part.inputs, part.outputs, part.input_delay) == (("u2",), ("r", "x"), (0.013,))
     chosen = model.frequency_response(omega)[:, [2, 0]][:, :, [1]]
     np.testing.assert_allclose(part.frequency_response(omega), chosen, rtol=1e-13)
-    with pytest.raises(AbraceError, match="no output 'q': it has x, v, r"):
+    with pytest.raises(AbraceError, match="no output 'q', it has x, v, r"):
         model.select(["q"])
-    with pytest.raises(AbraceError, match="no input 'w': it has u1, u2"):
+    with pytest.raises(AbraceError, match="no input 'w', it has u1, u2"):
         model.select(inputs=["w"])
 
 

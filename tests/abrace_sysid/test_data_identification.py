@@ -139,6 +139,10 @@ def test_the_same_columns_are_read_from_every_kind_of_file(data, tmp_path):
         assert read.names == ("y_1", "y_2")
         assert read.sample_period == pytest.approx(1 / RATE)
         assert np.allclose(read.channels(["u_2", "y_1"]), both[:, 1:3])
+    np.savez(tmp_path / "bag.npz", **{"ground_acceleration": both[:, 0], "displacement[0]": both[:, 1]})
+    read = read_data(tmp_path / "bag.npz", ["w"], sample_rate=RATE)
+    assert (read.inputs, read.names) == (("w",), ("displacement[0]",))
+    assert np.allclose(read.channels(["x1", "w"]), both[:, [1, 0]])
     read = read_data(tmp_path / "data.npy", ["1", "2"], ["4"], sample_rate=RATE)
     assert np.allclose(read.outputs[:, 0], both[:, 3])
 
@@ -148,12 +152,12 @@ MISTAKES = {
     "another ending": ({"path": "data.xls"}, "expected a file with the ending .mat, .csv, .npz, .npy"),
     "a damaged file": ({"path": "bad.mat"}, "bad.mat: cannot be read as .mat"),
     "a text for a number": ({"path": "bad.csv"}, "expected a line of names, then numbers"),
-    "no such column": ({"inputs": ["force"]}, "no column 'force', it has t, u, y, short"),
+    "no such column": ({"inputs": ["force"], "time": "seconds"}, "no column 'force', 'seconds', it has t, u, y, short"),
     "columns that differ in length": ({"outputs": ["short"]}, "short has 9 samples and u 50, expected the same"),
     "no rate": ({"time": ""}, "sample_rate 0 Hz and time '', expected one of both"),
     "uneven times": ({"time": "y"}, "time column y does not rise in even steps"),
-    "one column twice": ({"outputs": ["u"]}, "u is named twice"),
-    "a unit of nothing": ({"units": {"z": "N"}}, "a unit of z, expected of one of u, y"),
+    "one column twice": ({"outputs": ["u"]}, "named twice: u"),
+    "a unit of nothing": ({"units": {"z": "N", "q": "m"}}, "units of z, q, expected of some of u, y"),
 }
 
 

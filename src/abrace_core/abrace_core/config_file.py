@@ -11,7 +11,12 @@ import yaml
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Mapping
+    from collections.abc import Hashable, Iterable, Mapping, Sequence
+
+    from pydantic_core import ErrorDetails
+
+MOST_MISTAKES = 12
+"""Mistakes in one file that are told, in one line."""
 
 
 class Checked(pydantic.BaseModel):
@@ -40,7 +45,7 @@ def read_config(path: Path | str, schema: type[Schema], kind: str) -> Schema:
     Raises
     ------
     AbraceError
-        `<kind> file <path>: <key>: <value>, expected ...`, for the first mistake found.
+        `<kind> file <path>: <key>: <value>, expected ...`, with every mistake found.
     """
     try:
         content = yaml.load(Path(path).read_text(encoding="utf-8"), _UniqueKeys)  # a safe loader
@@ -59,20 +64,47 @@ def validated(content: Mapping[str, Any], schema: type[Schema], source: str) -> 
     Raises
     ------
     AbraceError
-        `<source>: <key>: <value>, expected ...`, for the first mistake found.
+        `<source>: <key>: <value>, expected ...`, with every mistake found: unknown keys first.
     """
     try:
         return schema.model_validate(content)
     except pydantic.ValidationError as error:
-        # a misspelt key is both unknown and missing: report it as unknown
-        first = min(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
-        key = ".".join(str(part) for part in first["loc"])
-        if first["type"] == "extra_forbidden":
-            raise AbraceError(f"{source}: {key}: unknown key") from error
-        if first["type"] == "missing":
-            raise AbraceError(f"{source}: {key}: key is missing") from error
-        expected = first["msg"].removeprefix("Value error, ")
-        raise AbraceError(f"{source}: {key}: {first['input']!r}, expected otherwise: {expected}") from error
+        found = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
+        told = [_sentence(mistake) for mistake in found[:MOST_MISTAKES]]
+        more = [f"and {len(found) - MOST_MISTAKES} more"] if len(found) > MOST_MISTAKES else []
+        raise AbraceError(f"{source}: {'; '.join([*told, *more])}") from error
+
+
+def _sentence(mistake: ErrorDetails) -> str:
+    key = ".".join(str(part) for part in mistake["loc"])
+    if mistake["type"] == "extra_forbidden":
+        return f"{key}: unknown key"
+    if mistake["type"] == "missing":
+        return f"{key}: key is missing"
+    return f"{key}: {mistake['input']!r}, expected otherwise: {mistake['msg'].removeprefix('Value error, ')}"
+
+
+def expect_entries(given: Iterable[str], names: Sequence[str], key: str) -> None:
+    """Refuse entries of a file that are not one for each of some names.
+
+    Parameters
+    ----------
+    given, names
+        The names of the entries that there are, and that there must be.
+    key
+        Of the entries in their file, for errors.
+
+    Raises
+    ------
+    AbraceError
+        With all names that are missing, and all that are unknown.
+    """
+    given = list(given)
+    missing = [name for name in names if name not in given]
+    told = [f"{key}: no entry {', '.join(missing)}"] if missing else []
+    told += [f"{key}.{name}: unknown" for name in given if name not in names]
+    if told:
+        raise AbraceError(f"{'; '.join(told)}, expected {', '.join(names)}")
 
 
 def yaml_number(value: float) -> str:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 import numpy as np
 from scipy import linalg
 
+from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 
@@ -117,25 +118,24 @@ class LinearModel:
         return (response + self.d) * delays
 
     def select(self, outputs: Sequence[str] | None = None, inputs: Sequence[str] | None = None) -> LinearModel:
-        """The same model with only these outputs and inputs, in this order."""
-        outputs, inputs = outputs or self.outputs, inputs or self.inputs
-        rows = [self._index(self.outputs, name, "output") for name in outputs]
-        columns = [self._index(self.inputs, name, "input") for name in inputs]
+        """The same model with only these `outputs` and `inputs`, in this order; names in either form.
+
+        Raises
+        ------
+        AbraceError
+            With all names that the model has not (`signals.positions`).
+        """
+        rows = signals.positions(outputs or self.outputs, self.outputs, "model has no output")
+        columns = signals.positions(inputs or self.inputs, self.inputs, "model has no input")
         return replace(
             self,
             b=self.b[:, columns],
             c=self.c[rows],
             d=self.d[np.ix_(rows, columns)],
-            inputs=tuple(inputs),
-            outputs=tuple(outputs),
+            inputs=tuple(self.inputs[j] for j in columns),
+            outputs=tuple(self.outputs[i] for i in rows),
             input_delay=tuple(self.input_delay[j] for j in columns),
         )
-
-    @staticmethod
-    def _index(names: tuple[str, ...], name: str, kind: str) -> int:
-        if name not in names:
-            raise AbraceError(f"model has no {kind} {name!r}: it has {', '.join(names)}")
-        return names.index(name)
 
     def to_control(self) -> control.StateSpace:
         """The model as python-control's StateSpace, its signals by their names.

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from abrace_core import signals
-from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -87,15 +86,13 @@ class Run:
         return {name: count for name, count in counts.items() if count}
 
     def channels(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """(samples, len(names)) of these outputs, commands or the ground acceleration."""
-        columns = []
-        for name in names:
-            if name == signals.GROUND:
-                columns.append(self.ground_acceleration)
-            elif name in self.command_names:
-                columns.append(self.command[:, self.command_names.index(name)])
-            elif name in self.names:
-                columns.append(self.outputs[:, self.names.index(name)])
-            else:
-                raise AbraceError(f"{self.source}: no channel {name!r}, it has {', '.join(self.names)}")
-        return np.column_stack(columns)
+        """(samples, len(names)) of these outputs, commands or the ground acceleration; `names` in either form.
+
+        Raises
+        ------
+        AbraceError
+            With all names that are not among them (`signals.positions`).
+        """
+        known = (*self.names, *self.command_names, signals.GROUND)
+        columns = [*self.outputs.T, *self.command.T, self.ground_acceleration]
+        return np.column_stack([columns[i] for i in signals.positions(names, known, f"{self.source}: no channel")])

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from string import ascii_lowercase
 from typing import TYPE_CHECKING
+
+from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 GROUND = "w"
 """The table's acceleration W [m/s^2]."""
+
+MOST_SHOWN = 24
+"""Names that an error lists."""
+
+_LETTERS = {"displacement": "x", "stroke": "xf", "acceleration": "a", "command": "U"}
+_IN_MESSAGES = re.compile(rf"({'|'.join(_LETTERS)})(?:\[(\d+)\]|_(\d+))")
+_IN_PAPER = re.compile(r"(xf|x|a|U)(\d*)")
 
 
 def numbered(letter: str, count: int) -> tuple[str, ...]:
@@ -61,6 +71,51 @@ def channel_names(floors: int, braces: Sequence[int]) -> tuple[str, ...]:
 def command_names(groups: int) -> tuple[str, ...]:
     """Names of the commands U, one for each of `groups` brace groups."""
     return numbered("U", groups)
+
+
+def positions(names: Sequence[str], known: Sequence[str], missing: str) -> list[int]:
+    """Where signals stand among the known ones, each in the paper's form or in that of messages.
+
+    `x2` is also `displacement[1]`, as a bag's messages have it, and `displacement_2`, as column 2 of a matrix; likewise
+    stroke (xf), acceleration (a) and command (U); `w` is `ground_acceleration`. `f` has no other form: the messages'
+    `force` is that of single braces.
+
+    >>> positions(["displacement[1]", "w"], ["x1", "x2", "w"], "no channel")
+    [1, 2]
+
+    Parameters
+    ----------
+    names
+        In either form.
+    known
+        Of the signals that there are, each in either form.
+    missing
+        How an error begins.
+
+    Raises
+    ------
+    AbraceError
+        `<missing> '<name>', '<name>', it has ...`, with all names that are not known.
+    """
+    places = {meaning(name): i for i, name in enumerate(known)} | {name: i for i, name in enumerate(known)}
+    found = [places.get(name, places.get(meaning(name))) for name in names]
+    unknown = [repr(name) for name, place in zip(names, found, strict=True) if place is None]
+    if unknown:
+        shown = known if len(known) <= MOST_SHOWN else [*known[: MOST_SHOWN - 1], f"... {known[-1]}"]
+        raise AbraceError(f"{missing} {', '.join(unknown)}, it has {', '.join(shown)}")
+    return [place for place in found if place is not None]
+
+
+def meaning(name: str) -> tuple[str, int] | str:
+    """Letter and number of the signal `name` in any of its forms; other names as they are."""
+    if name in (GROUND, "ground_acceleration"):
+        return GROUND, 1
+    if in_message := _IN_MESSAGES.fullmatch(name):
+        field, index, number = in_message.groups()
+        return _LETTERS[field], int(number) if index is None else int(index) + 1
+    if in_paper := _IN_PAPER.fullmatch(name):
+        return in_paper[1], int(in_paper[2] or 1)
+    return name
 
 
 def unit(name: str) -> str:

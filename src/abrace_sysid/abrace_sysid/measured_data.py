@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from abrace_core import signals
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -65,10 +66,11 @@ class MeasuredData:
         named = (*self.inputs, *self.names)
         twice = [name for name in named if named.count(name) > 1]
         if twice:
-            raise AbraceError(f"{self.source}: {twice[0]} is named twice, expected each column once")
+            names = ", ".join(dict.fromkeys(twice))
+            raise AbraceError(f"{self.source}: named twice: {names}; expected each column once")
         unknown = [name for name in self.units if name not in named]
         if unknown:
-            raise AbraceError(f"{self.source}: a unit of {unknown[0]}, expected of one of {', '.join(named)}")
+            raise AbraceError(f"{self.source}: units of {', '.join(unknown)}, expected of some of {', '.join(named)}")
 
     @property
     def sequence(self) -> NDArray[np.uint64]:
@@ -86,12 +88,9 @@ class MeasuredData:
         return len(self.outputs) * self.sample_period
 
     def channels(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """(samples, len(names)) of these inputs or outputs."""
-        both = dict(zip((*self.inputs, *self.names), np.hstack([self.excitation, self.outputs]).T, strict=True))
-        unknown = [name for name in names if name not in both]
-        if unknown:
-            raise AbraceError(f"{self.source}: no channel {unknown[0]!r}, it has {', '.join(both)}")
-        return np.column_stack([both[name] for name in names])
+        """(samples, len(names)) of these inputs or outputs; `names` in either form (`signals.positions`)."""
+        chosen = signals.positions(names, (*self.inputs, *self.names), f"{self.source}: no channel")
+        return np.hstack([self.excitation, self.outputs])[:, chosen]
 
     def part(self, first: int, last: int) -> MeasuredData:
         """The samples from `first` to before `last`."""
@@ -120,7 +119,8 @@ def read_data(
         `.mat` (up to version 7), `.npz`, `.npy` or `.csv` with a line of names. A vector is a column of its name;
         column i of a matrix M is M_i, from 1 on, of an `.npy` file just i.
     inputs, outputs
-        Names of columns; no outputs: all columns that are not named otherwise.
+        Names of columns, a rig's signals in either form (`signals.positions`); no outputs: all columns that are not
+        named otherwise.
     sample_rate
         [Hz]; 0: from the time column.
     time
@@ -137,11 +137,14 @@ def read_data(
     columns = _columns(path)
     if (sample_rate > 0) == bool(time):
         raise AbraceError(f"{path}: sample_rate {sample_rate:g} Hz and time {time!r}, expected one of both")
-    outputs = outputs or [name for name in columns if name not in (*inputs, time)]
+    named = {signals.meaning(name) for name in (*inputs, time)}
+    outputs = outputs or [name for name in columns if signals.meaning(name) not in named]
     wanted = (*inputs, *outputs, *([time] if time else []))
-    for name in wanted:
-        if name not in columns:
-            raise AbraceError(f"{path}: no column {name!r}, it has {_some(list(columns))}")
+    known = list(columns)
+    columns = {
+        name: columns[known[i]]
+        for name, i in zip(wanted, signals.positions(wanted, known, f"{path}: no column"), strict=True)
+    }
     lengths = {name: len(columns[name]) for name in wanted}
     if len(set(lengths.values())) > 1:
         (one, other), *_ = [(a, b) for a in wanted for b in wanted if lengths[a] < lengths[b]]
@@ -236,7 +239,3 @@ def _period(path: Path, name: str, time: NDArray[np.float64]) -> float:
         where = f", first after sample {uneven[0]}" if len(uneven) else ""
         raise AbraceError(f"{path}: time column {name} does not rise in even steps{where}; expected within {EVEN:.0%}")
     return period
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(names if len(names) <= 12 else [*names[:11], f"... {names[-1]}"])

@@ -18,7 +18,7 @@ import pydantic
 import yaml
 
 from abrace_core import signals
-from abrace_core.config_file import Checked, read_config
+from abrace_core.config_file import Checked, expect_entries, read_config
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_plant.devices.device import DeviceError
@@ -269,12 +269,8 @@ def _entries(
     """The entry of each name, checked; None where there is no file."""
     if given is None:
         return [(name, None) for name in names]
-    for name in names:
-        if name not in given:
-            raise AbraceError(f"{key}: no entry {name}, expected {', '.join(names)}")
+    expect_entries(given, names, key)
     for name, entry in given.items():
-        if name not in names:
-            raise AbraceError(f"{key}.{name}: unknown, expected {', '.join(names)}")
         if entry.unit not in UNITS or UNITS[entry.unit][0] != signals.unit(name):
             fitting = ", ".join(unit for unit, (si, _) in UNITS.items() if si == signals.unit(name))
             raise AbraceError(f"{key}.{name}.unit: {entry.unit!r}, expected one of {fitting}")

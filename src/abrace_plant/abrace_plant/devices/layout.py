@@ -272,9 +272,8 @@ def _check_fields(fields: list[Field], kind: str, signals: Sequence[str]) -> Non
         bounds = _bounds(entry.type)
         if entry.value is not None and bounds is not None and not bounds[0] <= entry.value <= bounds[1]:
             raise AbraceError(f"{where}.value: {entry.value}, expected {bounds[0]} to {bounds[1]} ({entry.type})")
-    for name in ("counter", *signals):
-        if name not in seen:
-            raise AbraceError(f"{kind}: no field {name}, expected counter, {', '.join(signals)}")
+    if missing := [name for name in ("counter", *signals) if name not in seen]:
+        raise AbraceError(f"{kind}: no field {', '.join(missing)}, expected counter, {', '.join(signals)}")
 
 
 def _modulus(entry: Field) -> int:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import pydantic
 
-from abrace_core.config_file import Checked, read_config
+from abrace_core.config_file import Checked, expect_entries, read_config
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -131,13 +131,9 @@ def blocks(
     Raises
     ------
     AbraceError
-        If a signal is missing, unknown, or stands in the registers of another.
+        If signals are missing or unknown, or one stands in the registers of another.
     """
-    for name in names:
-        if name not in entries:
-            raise AbraceError(f"{key}: no entry {name}, expected {', '.join(names)}")
-    if unknown := [name for name in entries if name not in names]:
-        raise AbraceError(f"{key}.{unknown[0]}: unknown, expected {', '.join(names)}")
+    expect_entries(entries, names, key)
     sorted_entries = sorted(((i, entries[name]) for i, name in enumerate(names)), key=lambda each: each[1].register_)
     groups: list[list[tuple[int, Register]]] = []
     end = 0

@@ -91,8 +91,7 @@ def check_names(channels: Sequence[str], which: Sequence[str]) -> None:
     Raises
     ------
     AbraceError
-        Naming the first one.
+        Naming all of them.
     """
-    for name in which:
-        if name not in channels:
-            raise AbraceError(f"zero_channels: no channel {name!r}, expected some of {', '.join(channels)}")
+    if unknown := [repr(name) for name in which if name not in channels]:
+        raise AbraceError(f"zero_channels: no channel {', '.join(unknown)}, expected some of {', '.join(channels)}")

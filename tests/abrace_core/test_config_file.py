@@ -1,0 +1,51 @@
+"""Files that people write: every mistake in one line, not one a run."""
+
+import pytest
+
+from abrace_core.config_file import MOST_MISTAKES, Checked, expect_entries, read_config
+from abrace_core.errors import AbraceError
+
+
+class Brace(Checked):
+    count: int
+    capacity: float = 0.0
+
+
+class Laboratory(Checked):
+    name: str
+    rate: float
+    braces: list[Brace] = []
+
+
+@pytest.fixture
+def mistakes(tmp_path):
+    def of(text: str) -> str:
+        (tmp_path / "rig.yaml").write_text(text)
+        with pytest.raises(AbraceError) as error:
+            read_config(tmp_path / "rig.yaml", Laboratory, "rig")
+        return str(error.value).removeprefix(f"rig file {tmp_path}/rig.yaml: ")
+
+    return of
+
+
+def test_every_mistake_is_told_in_one_line_unknown_keys_first(mistakes):
+    assert mistakes("nome: a\nrate: fast\nbraces: [{count: 2, colour: red}]") == (
+        "braces.0.colour: unknown key; nome: unknown key; name: key is missing; rate: 'fast', expected otherwise: "
+        "Input should be a valid number, unable to parse string as a number"
+    )
+
+
+def test_one_mistake_reads_as_ever(mistakes):
+    assert mistakes("name: a\nrate: 1.0\nsize: 3") == "size: unknown key"
+
+
+def test_a_file_of_nothing_but_mistakes_is_cut_short(mistakes):
+    keys = "".join(f"key{i}: 1\n" for i in range(MOST_MISTAKES))
+    told = mistakes(keys)
+    assert told.endswith("; and 2 more"), "name and rate are missing, too"
+    assert told.count(";") == MOST_MISTAKES
+
+
+def test_all_missing_and_unknown_entries_are_named():
+    with pytest.raises(AbraceError, match=r"^inputs: no entry x1, a1; inputs\.q: unknown, expected x1, x2, a1$"):
+        expect_entries(["x2", "q"], ["x1", "x2", "a1"], "inputs")
