@@ -148,7 +148,7 @@ def _controller(found: Results, name: str) -> dict[str, Any]:
     margins = proof["margins"]
     return {
         "worst_correlation": min(_least_correlation(test) for test in tests.values()),
-        "peak_rms_error": max(test.peak_rms_error for test in tests.values()),
+        "peak_rms_error": max(test.peak_rms_error or 0.0 for test in tests.values()),
         "peak_rms_errors": {motion: test.peak_rms_error for motion, test in tests.items()},
         "worst_peak_rms_error": max(worst_peak_rms_error(test) for test in tests.values()),
         "peak_rms_error_24_states": max(test.other_models["superposed"].peak_rms_error for test in tests.values()),

@@ -288,7 +288,7 @@ def test_several_controllers_are_set_beside_each_other(tmp_path):
     [
         ("{", "not JSON"),
         ("[]", "expected "),
-        ("{}", r"(table|simulated_vs_measured|lockstep): expected Field required"),
+        ("{}", r"(table|test|lockstep): expected Field required"),
     ],
 )
 def test_a_malformed_file_is_named_and_nothing_is_written(tmp_path, name, content, message):

@@ -209,9 +209,9 @@ def test_a_campaign_that_is_killed_leaves_no_process(tmp_path, environment):
         ("{name: a, test: {duration: 4.0, ground_motion: {record: nowhere.at2}}}", "nowhere.at2"),
         (
             "{name: b, test: {duration: 9.0, ground_motion: {record: el_centro, peak_acceleration: 30.0}}}",
-            "step b: ground motion el_centro is more than the table has: acceleration 30 m/s^2 at 2.178 s",
+            "test.ground_motion: ground motion el_centro is more than the table has: acceleration 30 m/s^2 at 2.178 s",
         ),
-        ("{name: a, test: {duration: 4.0, controller: nowhere.yaml}}", "controller file nowhere.yaml"),
+        ("{name: a, test: {duration: 4.0, controller: nowhere.yaml}}", "nowhere.yaml: No such file"),
         ("{name: a, test: {duration: 4.0}}", "lockstep test without any input"),
         ("{name: a, tost: {duration: 4.0}}", "tost: unknown key"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -11,9 +12,7 @@ import yaml
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable, Mapping, Sequence
-
-    from pydantic_core import ErrorDetails
+    from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 
 MOST_MISTAKES = 12
 """Mistakes in one file that are told, in one line."""
@@ -25,8 +24,8 @@ class Checked(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class _UniqueKeys(yaml.SafeLoader):
-    """YAML in which a duplicate key is an error; by default the last one silently wins."""
+class _Loader(yaml.SafeLoader):
+    """YAML in which a duplicate key is an error (by default the last one silently wins), and 1e6 is a number."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
@@ -35,6 +34,11 @@ class _UniqueKeys(yaml.SafeLoader):
                 raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", node.start_mark)
         return super().construct_mapping(node, deep)
 
+
+# YAML 1.1 asks for a point and a sign
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"), list("-+.0123456789")
+)
 
 Schema = TypeVar("Schema", bound=Checked)
 
@@ -47,15 +51,26 @@ def read_config(path: Path | str, schema: type[Schema], kind: str) -> Schema:
     AbraceError
         `<kind> file <path>: <key>: <value>, expected ...`, with every mistake found.
     """
+    return validated(read_mapping(path, kind), schema, f"{kind} file {path}")
+
+
+def read_mapping(path: Path | str, kind: str) -> dict[str, Any]:
+    """The keys and values of a YAML file, unchecked.
+
+    Raises
+    ------
+    AbraceError
+        If it cannot be read or is something else; the file is called a `kind`.
+    """
     try:
-        content = yaml.load(Path(path).read_text(encoding="utf-8"), _UniqueKeys)  # a safe loader
+        content = yaml.load(Path(path).read_text(encoding="utf-8"), _Loader)  # a safe loader
     except OSError as error:
         raise AbraceError(f"{kind} file {path}: {error.strerror}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise AbraceError(f"{kind} file {path}: not YAML ({' '.join(str(error).split())})") from error
     if not isinstance(content, dict):
         raise AbraceError(f"{kind} file {path}: expected keys and values, found {type(content).__name__}")
-    return validated(content, schema, f"{kind} file {path}")
+    return content
 
 
 def validated(content: Mapping[str, Any], schema: type[Schema], source: str) -> Schema:
@@ -69,19 +84,31 @@ def validated(content: Mapping[str, Any], schema: type[Schema], source: str) -> 
     try:
         return schema.model_validate(content)
     except pydantic.ValidationError as error:
-        found = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
-        told = [_sentence(mistake) for mistake in found[:MOST_MISTAKES]]
-        more = [f"and {len(found) - MOST_MISTAKES} more"] if len(found) > MOST_MISTAKES else []
-        raise AbraceError(f"{source}: {'; '.join([*told, *more])}") from error
+        found = mistakes(error)
+        told, left = found[:MOST_MISTAKES], len(found) - MOST_MISTAKES
+        raise AbraceError(f"{source}: {'; '.join([*told, *([f'and {left} more'] if left > 0 else [])])}") from error
 
 
-def _sentence(mistake: ErrorDetails) -> str:
-    key = ".".join(str(part) for part in mistake["loc"])
-    if mistake["type"] == "extra_forbidden":
+def mistakes(error: pydantic.ValidationError, tagged: Collection[str] = ()) -> list[str]:
+    """Each mistake that an `error` has, as `<key>: <value>, expected ...`, unknown keys first.
+
+    `tagged` are keys of which there are several kinds; the name of the kind that follows in pydantic's is left out.
+    """
+    # a misspelt key is both unknown and missing: report it as unknown
+    found = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
+    return [_mistake(one, tagged) for one in found]
+
+
+def _mistake(found: Mapping[str, Any], tagged: Collection[str]) -> str:
+    where = found["loc"]
+    key = ".".join(str(part) for i, part in enumerate(where) if not (i and where[i - 1] in tagged))
+    if not key:
+        return f"{found['input']!r}, expected keys and values"
+    if found["type"] == "extra_forbidden":
         return f"{key}: unknown key"
-    if mistake["type"] == "missing":
+    if found["type"] == "missing":
         return f"{key}: key is missing"
-    return f"{key}: {mistake['input']!r}, expected otherwise: {mistake['msg'].removeprefix('Value error, ')}"
+    return f"{key}: {found['input']!r}, expected otherwise: {found['msg'].removeprefix('Value error, ')}"
 
 
 def expect_entries(given: Iterable[str], names: Sequence[str], key: str) -> None:

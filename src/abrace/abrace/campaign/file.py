@@ -2,247 +2,32 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from pathlib import Path
+from typing import Annotated, Any
 
 import pydantic
 
-from abrace_core.config_file import Checked, read_config
+from abrace.campaign.matrix import expanded
+from abrace.campaign.names import FOLDER, Flag, Name, NameOrFile, is_step_name
+from abrace.campaign.references import wrong_references
+from abrace.campaign.tasks import (
+    Ambient,
+    Compare,
+    Design,
+    Identify,
+    OwnNode,
+    OwnRig,
+    RigChoice,
+    RigTest,
+    Task,
+    Validate,
+)
+from abrace_core.config_file import Checked, mistakes, read_mapping
 from abrace_core.errors import AbraceError
-from abrace_lqg.proof.files import DRAWS
-from abrace_lqg.proof.limits import Limits, Objection
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-Positive = Annotated[float, pydantic.Field(gt=0, strict=True)]
-NonNegative = Annotated[float, pydantic.Field(ge=0, strict=True)]
-Text = Annotated[str, pydantic.Field(min_length=1)]
-
-Lines = Literal["all", "odd", "even"]
-
-LOWEST = 0.3
-"""Hz, from which tests are identified where no band is given: sensors drift, and a table hardly moves below."""
-
-WHITE_NOISE, MULTISINE = "white_noise", "multisine"
-CONTROLLER_FILE = ".yaml"
-_FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
-
-
-def _file_name(name: str) -> str:
-    if not _FILE_NAME.fullmatch(name):
-        raise ValueError("up to 64 letters, digits, _ and -, a letter or digit first")
-    return name
-
-
-Name = Annotated[str, pydantic.AfterValidator(_file_name)]
-
-
-def _rising(band: tuple[float, float]) -> tuple[float, float]:
-    if not band[0] < band[1]:
-        raise ValueError("two frequencies in Hz, the lower one first")
-    return band
-
-
-class BandedNoise(Checked):
-    """Banded white noise: rms in the unit of what it drives, band [Hz], seed."""
-
-    rms: Positive
-    band: Annotated[tuple[NonNegative, NonNegative], pydantic.AfterValidator(_rising)]
-    seed: Annotated[int, pydantic.Field(ge=0, strict=True)]
-
-
-class Multisine(BandedNoise):
-    """A periodic multisine: as many whole periods [s] as fit in a test, on "all", "odd" or "even" lines."""
-
-    period: Positive = 32.768
-    lines: Lines = "odd"
-    slope: Annotated[float, pydantic.Field(strict=True)] = 0.0
-
-    @pydantic.model_validator(mode="after")
-    def _above_zero(self) -> Multisine:
-        if self.band[0] == 0:
-            raise ValueError("a band that begins above 0 Hz: displacement grows with 1 / frequency^2")
-        return self
-
-
-class ExcitationNoise(BandedNoise):
-    """Brace commands of banded white noise: rms [N]."""
-
-    signal: Literal["white_noise"] = "white_noise"
-
-
-class ExcitationMultisine(Multisine):
-    """Brace commands of a multisine: rms [N]."""
-
-    signal: Literal["multisine"]
-
-
-def _signal(content: object) -> object:
-    return content.get("signal", WHITE_NOISE) if isinstance(content, dict) else getattr(content, "signal", None)
-
-
-Excitation = Annotated[
-    Annotated[ExcitationNoise, pydantic.Tag(WHITE_NOISE)] | Annotated[ExcitationMultisine, pydantic.Tag(MULTISINE)],
-    pydantic.Discriminator(_signal),
-]
-
-
-class WhiteNoise(BandedNoise):
-    """A table motion of banded white noise: rms [m/s^2]."""
-
-    record: Literal["white_noise"]
-
-
-class MultisineMotion(Multisine):
-    """A table motion of a multisine: rms [m/s^2]."""
-
-    record: Literal["multisine"]
-
-
-class Record(Checked):
-    """A table motion from a record, which is a name or a file: peak acceleration [m/s^2], 0: as recorded."""
-
-    record: Text
-    peak_acceleration: NonNegative = 0.0
-
-
-def _motion_kind(content: object) -> object:
-    record = content.get("record") if isinstance(content, dict) else getattr(content, "record", None)
-    return record if record in (WHITE_NOISE, MULTISINE) else "record"
-
-
-GroundMotion = Annotated[
-    Annotated[WhiteNoise, pydantic.Tag(WHITE_NOISE)]
-    | Annotated[MultisineMotion, pydantic.Tag(MULTISINE)]
-    | Annotated[Record, pydantic.Tag("record")],
-    pydantic.Discriminator(_motion_kind),
-]
-
-
-def _different(groups: tuple[int, ...]) -> tuple[int, ...]:
-    if len(set(groups)) < len(groups):
-        raise ValueError("every brace group once")
-    return tuple(sorted(groups))
-
-
-class RigTest(Checked):
-    """A run of the live graph, recorded to a bag.
-
-    duration [s]; excitation of the braces [N], or a controller: an earlier design step or a controller file; brace
-    groups (1 the first) that are not connected.
-    """
-
-    duration: Positive
-    disconnected_braces: Annotated[
-        tuple[Annotated[int, pydantic.Field(ge=1, strict=True)], ...], pydantic.AfterValidator(_different)
-    ] = ()
-    ground_motion: GroundMotion | None = None
-    excitation: Excitation | None = None
-    controller: Text | None = None
-
-
-def _listed(value: object) -> object:
-    return [value] if isinstance(value, str) else value
-
-
-Tests = Annotated[tuple[Text, ...], pydantic.Field(min_length=1), pydantic.BeforeValidator(_listed)]
-
-
-Band = Annotated[tuple[NonNegative, NonNegative], pydantic.AfterValidator(_rising)]
-Whole = Annotated[int, pydantic.Field(ge=0, strict=True)]
-
-
-class Identify(Checked):
-    """A model from the bags of tests of the table alone, and of the commands alone, one or several of each.
-
-    The same tests for both: table and commands at once. Everything else are parameters of the node `identify`; a band
-    that is not given is that in which the tests are excited, from LOWEST Hz on.
-    """
-
-    table: Tests
-    command: Tests
-    table_band: Band | None = None
-    command_band: Band | None = None
-    fit: Literal["maximum_likelihood", "vector_fitting", "sk", "paper"] | None = None
-    command_order: Whole | None = None
-    reduced_order: Whole | None = None
-    servo_lag: NonNegative | None = None
-    method: Literal["local_rational", "local_polynomial", "welch"] | None = None
-    segment: Whole | None = None
-    window: Text | None = None
-    overlap: Annotated[float, pydantic.Field(ge=0, le=0.99, strict=True)] | None = None
-    estimator: Literal["H1", "H2", "Hv"] | None = None
-    order: Whole | None = None
-    half_width: Whole | None = None
-    stabilization: Annotated[bool, pydantic.Field(strict=True)] | None = None
-    mat: Annotated[bool, pydantic.Field(strict=True)] | None = None
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """The parameters of the node `identify` that are given, but its tests."""
-        given = self.model_dump(exclude_none=True, exclude={"table", "command"})
-        return {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
-
-    def band_of(self, key: str, tests: Sequence[RigTest]) -> tuple[float, float] | None:
-        """The band of `table` or `command`: as given, or that in which all its tests are excited; None: not known.
-
-        Parameters
-        ----------
-        key
-            "table" or "command".
-        tests
-            Those that it names.
-        """
-        given: tuple[float, float] | None = getattr(self, f"{key}_band")
-        drives = [test.ground_motion if key == "table" else test.excitation for test in tests]
-        bands = [drive.band for drive in drives if isinstance(drive, BandedNoise)]
-        if given is not None or len(bands) < len(drives):
-            return given
-        return max(LOWEST, *(band[0] for band in bands)), min(band[1] for band in bands)
-
-
-class Design(Checked):
-    """A controller from a model, with weights that are a name or a file.
-
-    limits: what it has to keep, the defaults where nothing is said; accept: objections in spite of which it is written;
-    draws and draw_seed: models as likely as the identified one, with which the limits have to be kept as well.
-    """
-
-    model: Text
-    weights: Text
-    limits: Limits = Limits()
-    accept: tuple[Objection, ...] = ()
-    draws: Annotated[int, pydantic.Field(ge=0, strict=True)] = DRAWS
-    draw_seed: Annotated[int, pydantic.Field(ge=0, strict=True)] = 0
-
-    @property
-    def refusal(self) -> dict[str, object]:
-        """Parameters of the node `design`: limits, models drawn, and the objections that are accepted, if any."""
-        drawn = {"draws": self.draws, "draw_seed": self.draw_seed}
-        return self.limits.model_dump() | drawn | ({"accept": list(self.accept)} if self.accept else {})
-
-
-class Ambient(Checked):
-    """Modes from tests without commands, and whether the building has changed since others; band [Hz]."""
-
-    test: Tests
-    before: Tests | None = None
-    band: Annotated[tuple[Positive, Positive], pydantic.AfterValidator(_rising)] = (0.3, 20.0)
-
-
-class Validate(Checked):
-    """A test against its simulation by a model; one with a controller also against the same test without control."""
-
-    test: Text
-    model: Text
-    uncontrolled: Text | None = None
-    controller: Text | None = None
-
-
-Task = RigTest | Identify | Design | Validate | Ambient
+TAGGED = ("ground_motion", "excitation", "controller", "rig")
+"""Keys of which pydantic names the kind too, which is no key of the file."""
 
 
 class _Step(Checked):
@@ -250,22 +35,23 @@ class _Step(Checked):
     test: RigTest | None = None
     identify: Identify | None = None
     design: Design | None = None
+    compare: Compare | None = None
     validation: Annotated[Validate | None, pydantic.Field(alias="validate")] = None
     ambient: Ambient | None = None
 
     def tasks(self) -> list[Task]:
-        given = (self.test, self.identify, self.design, self.validation, self.ambient)
+        given = (self.test, self.identify, self.design, self.compare, self.validation, self.ambient)
         return [task for task in given if task is not None]
 
 
 class _Campaign(Checked):
     name: Name
-    rig: Text
-    device: Text | None = None
-    emulator: Annotated[bool, pydantic.Field(strict=True)] = False
-    lockstep: Annotated[bool, pydantic.Field(strict=True)] = False
+    rig: RigChoice
+    device: NameOrFile | None = None
+    emulator: Flag = False
+    lockstep: Flag = False
     thread_priority: Annotated[int, pydantic.Field(ge=0, le=98, strict=True)] = 0
-    steps: Annotated[list[_Step], pydantic.Field(min_length=1)]
+    steps: Annotated[list[Any], pydantic.Field(min_length=1)]
 
 
 @dataclass(frozen=True)
@@ -277,6 +63,33 @@ class Step:
 
 
 @dataclass(frozen=True)
+class RigSetup:
+    """What a test moves.
+
+    Parameters
+    ----------
+    file
+        A rig's name or file.
+    node
+        The user's, which serves as that rig; None: abrace's.
+    device
+        Name or file of the device that the rig is behind; None: there is none.
+    emulator
+        Whether the emulator is that device.
+    """
+
+    file: str
+    node: OwnNode | None = None
+    device: str | None = None
+    emulator: bool = False
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the rig is what the rig file says."""
+        return self.node is None and (self.device is None or self.emulator)
+
+
+@dataclass(frozen=True)
 class Campaign:
     """A campaign.
 
@@ -284,32 +97,37 @@ class Campaign:
     ----------
     name
         Names the folder of the results.
-    rig
-        A rig's name or file.
+    setup
+        The rig of the tests that name no other.
     lockstep
-        Whether tests run in lockstep rather than in real time.
+        Whether tests run in lockstep rather than in real time, unless they say otherwise.
     steps
         In the order in which they are made.
-    device
-        Name or file of the device that the rig is behind; None: the rig is simulated.
-    emulator
-        Whether the emulator is that device.
     thread_priority
         Of the loops of nodes and emulator; 0: none.
+    path
+        Of the file.
     """
 
     name: str
-    rig: str
+    setup: RigSetup
     lockstep: bool
     steps: tuple[Step, ...]
-    device: str | None = None
-    emulator: bool = False
     thread_priority: int = 0
+    path: Path = Path("campaign.yaml")
 
     @property
-    def simulated(self) -> bool:
-        """Whether the rig is what the rig file says."""
-        return self.device is None or self.emulator
+    def tests(self) -> dict[str, RigTest]:
+        """The tests by name, in order."""
+        return {step.name: step.task for step in self.steps if isinstance(step.task, RigTest)}
+
+    def setup_of(self, test: RigTest) -> RigSetup:
+        """The rig of a `test`: what that does not say is as the campaign says."""
+        return _setup(test, self.setup)
+
+    def in_lockstep(self, test: RigTest) -> bool:
+        """Whether a `test` runs in lockstep."""
+        return self.lockstep if test.lockstep is None else test.lockstep
 
 
 def load_campaign(path: Path | str) -> Campaign:
@@ -318,126 +136,104 @@ def load_campaign(path: Path | str) -> Campaign:
     Raises
     ------
     AbraceError
-        Naming the file, the step, the key, the value and what was expected.
+        With a line for each mistake: the file, the step, the key, the value and what was expected.
     """
-    content = read_config(path, _Campaign, "campaign")
-    if content.emulator and content.device is None:
-        raise AbraceError(f"campaign file {path}: emulator: true, expected a device that is emulated")
-    if content.lockstep and content.device is not None:
-        raise AbraceError(
-            f"campaign file {path}: lockstep: true, expected false with a device: hardware has a tick of its own"
-        )
-    earlier: dict[str, Task] = {}
-    for step in content.steps:
-        where = f"campaign file {path}: step {step.name}"
-        if step.name in earlier:
-            raise AbraceError(f"{where}: name: {step.name!r}, expected a name that no earlier step has")
-        tasks = step.tasks()
-        if len(tasks) != 1:
-            raise AbraceError(
-                f"{where}: {len(tasks)} tasks, expected exactly one of test, identify, design, validate, ambient"
-            )
-        if isinstance(tasks[0], RigTest) and tasks[0].disconnected_braces and content.device is not None:
-            raise AbraceError(
-                f"{where}: test.disconnected_braces, expected none with a device: a person disconnects them"
-            )
-        _check_references(where, tasks[0], earlier)
-        earlier[step.name] = tasks[0]
-    steps = tuple(Step(name, task) for name, task in earlier.items())
-    return Campaign(
-        content.name, content.rig, content.lockstep, steps, content.device, content.emulator, content.thread_priority
-    )
+    content = read_mapping(path, "campaign")
+    context = {FOLDER: str(Path(path).parent)}
+    found: list[str] = []
+    top = None
+    try:
+        top = _Campaign.model_validate(content, context=context)
+    except pydantic.ValidationError as error:
+        found += mistakes(error, TAGGED)
+    listed, wrong = expanded(content.get("steps"))
+    tasks = _read_steps(listed, context, wrong)
+    found += wrong
+    if top is not None:
+        steps = tuple(Step(name, task) for name, task in tasks.items() if task is not None)
+        setup = _setup(top, RigSetup(""))
+        campaign = Campaign(top.name, setup, top.lockstep, steps, top.thread_priority, Path(path))
+        found += _wrong_setups(campaign)
+    if found:
+        refuse([f"campaign file {path}: {mistake}" for mistake in found])
+    return campaign
 
 
-Kind = TypeVar("Kind", RigTest, Identify, Design)
+def _read_steps(listed: list[tuple[int, Any]], context: dict[str, str], found: list[str]) -> dict[str, Task | None]:
+    """The tasks by name, None for a wrong one, of which a mistake is added to `found`."""
+    tasks: dict[str, Task | None] = {}
+    for number, content in listed:
+        name = content.get("name") if isinstance(content, dict) else None
+        where = f"step {name if isinstance(name, str) and is_step_name(name) else number}"
+        try:
+            step = _Step.model_validate(content, context=context)
+        except pydantic.ValidationError as error:
+            found += [f"{where}: {mistake}" for mistake in mistakes(error, TAGGED)]
+            tasks.setdefault(str(name), None)
+            continue
+        given = step.tasks()
+        if step.name in tasks:
+            found.append(f"{where}: name: {step.name!r}, expected a name that no earlier step has")
+        elif len(given) == 1:
+            found += [f"{where}: {mistake}" for mistake in wrong_references(given[0], tasks)]
+            tasks[step.name] = given[0]
+        else:
+            kinds = ", ".join(field.alias or key for key, field in _Step.model_fields.items() if key != "name")
+            found.append(f"{where}: {len(given)} tasks, expected exactly one of {kinds}")
+            tasks[step.name] = None
+    return tasks
 
 
-def _check_references(where: str, task: Task, earlier: dict[str, Task]) -> None:
-    def refer(key: str, name: str, kind: type[Kind], expected: str, fits: Callable[[Kind], bool] | None = None) -> Kind:
-        referred = earlier.get(name)
-        if isinstance(referred, kind) and (fits is None or fits(referred)):
-            return referred
-        having = [other for other, task in earlier.items() if isinstance(task, kind) and (fits is None or fits(task))]
-        raise AbraceError(f"{where}: {key}: {name!r}, expected {expected} ({', '.join(having) or 'there is none'})")
+def refuse(problems: list[str]) -> None:
+    """Refuse a campaign for all its `problems` at once.
 
-    match task:
-        case RigTest(controller=str(controller)):
-            if task.excitation is not None:
-                raise AbraceError(
-                    f"{where}: test.controller: {controller!r} and an excitation, expected one of the two"
-                )
-            if not controller.endswith(CONTROLLER_FILE):
-                expected = f"an earlier design step or a file that ends in {CONTROLLER_FILE}"
-                refer("test.controller", controller, Design, expected)
-        case Identify():
-            of_table = (_moves_table_alone, "an earlier test of the table alone")
-            of_command = (_pushes_alone, "an earlier test with excitation alone")
-            if task.table == task.command and any(_is_test_that(_moves_both, earlier.get(n)) for n in task.table):
-                of_table = of_command = (_moves_both, "an earlier test of noise, or multisines, on table and command")
-            for key, names, (fits, expected) in (
-                ("table", task.table, of_table),
-                ("command", task.command, of_command),
-            ):
-                for name in names:
-                    refer(f"identify.{key}", name, RigTest, expected, fits)
-            _check_braces(where, "identify", (*task.table, *task.command), earlier)
-        case Design():
-            refer("design.model", task.model, Identify, "an earlier identify step")
-        case Ambient():
-            for key, names in (("test", task.test), ("before", task.before or ())):
-                for name in names:
-                    expected = "an earlier test without excitation and controller"
-                    refer(
-                        f"ambient.{key}", name, RigTest, expected, lambda test: not (test.excitation or test.controller)
-                    )
-            _check_braces(where, "ambient", (*task.test, *(task.before or ())), earlier)
-        case Validate():
-            test = refer("validate.test", task.test, RigTest, "an earlier test")
-            model = refer("validate.model", task.model, Identify, "an earlier identify step")
-            _check_braces(where, "validate", (task.test, *model.table), earlier)
-            if task.controller != test.controller:
-                runs = f"{test.controller!r}, which test {task.test} runs" if test.controller else "none"
-                raise AbraceError(f"{where}: validate.controller: {task.controller!r}, expected {runs}")
-            if task.uncontrolled is not None:
-                refer(
-                    "validate.uncontrolled",
-                    task.uncontrolled,
-                    RigTest,
-                    f"an earlier test without control and with the ground motion and duration of {task.test}",
-                    lambda other: (
-                        _moves_table_alone(other)
-                        and (other.ground_motion, other.duration) == (test.ground_motion, test.duration)
-                        and other.disconnected_braces == test.disconnected_braces
-                    ),
-                )
+    Raises
+    ------
+    AbraceError
+        With a line for each.
+    """
+    header = [f"{len(problems)} mistakes, nothing was started"] if len(problems) > 1 else []
+    raise AbraceError("\n".join([*header, *problems]))
 
 
-def _check_braces(where: str, key: str, names: tuple[str, ...], earlier: dict[str, Task]) -> None:
-    """Tests that are used together have the same braces connected."""
-    tests = {name: task for name, task in earlier.items() if name in names and isinstance(task, RigTest)}
-    first = tests[names[0]].disconnected_braces
-    for name, test in tests.items():
-        if test.disconnected_braces != first:
-            raise AbraceError(
-                f"{where}: {key}: {name} has brace groups {list(test.disconnected_braces)} disconnected, expected "
-                f"{list(first)} as {names[0]}"
-            )
+def _setup(given: RigTest | _Campaign, base: RigSetup) -> RigSetup:
+    """What is given of the rig, and otherwise that of `base`."""
+    file, node = base.file, base.node
+    if isinstance(given.rig, OwnRig):
+        file, node = given.rig.file, given.rig
+    elif given.rig is not None:
+        file, node = given.rig, None
+    device, emulator = base.device, base.emulator
+    if "device" in given.model_fields_set:
+        device, emulator = given.device, False
+    return RigSetup(file, node, device, emulator if given.emulator is None else given.emulator)
 
 
-def _moves_table_alone(test: RigTest) -> bool:
-    return test.ground_motion is not None and test.excitation is None and test.controller is None
+def _wrong_setups(campaign: Campaign) -> list[str]:
+    """What does not go together of rig, device, emulator, lockstep, and what only a simulated rig can be told."""
+    found: list[str] = []
+    for name, test in campaign.tests.items():
+        setup = campaign.setup_of(test)
+        own = test.model_fields_set & {"rig", "device", "emulator", "lockstep"}
+        where = f"step {name}: test." if own else ""
+        found += [f"{where}{wrong}" for wrong in _wrong_setup(setup, campaign.in_lockstep(test))]
+        if setup.device is None and setup.node is None:
+            continue
+        who = "a device: a person disconnects them" if setup.device else "a rig of your own: its parameters say so"
+        if test.disconnected_braces:
+            found.append(f"step {name}: test.disconnected_braces, expected none with {who}")
+        for key in ("sensor_faults", "sensor_seed"):
+            if key in test.model_fields_set:
+                found.append(f"step {name}: test.{key}, expected none but with the simulated rig")
+    return list(dict.fromkeys(found))
 
 
-def _pushes_alone(test: RigTest) -> bool:
-    return test.excitation is not None and test.ground_motion is None
-
-
-def _moves_both(test: RigTest) -> bool:
-    """Table and commands at once: noise, or multisines."""
-    drives = (test.excitation, test.ground_motion)
-    periodic = [isinstance(drive, Multisine) for drive in drives]
-    return all(isinstance(drive, BandedNoise) for drive in drives) and periodic[0] == periodic[1]
-
-
-def _is_test_that(fits: Callable[[RigTest], bool], task: Task | None) -> bool:
-    return isinstance(task, RigTest) and fits(task)
+def _wrong_setup(setup: RigSetup, lockstep: bool) -> list[str]:
+    found = []
+    if setup.emulator and setup.device is None:
+        found.append("emulator: true, expected a device that is emulated")
+    if setup.device is not None and setup.node is not None:
+        found.append(f"device: {setup.device}, expected none with a rig of your own (rig.run)")
+    if lockstep and setup.device is not None:
+        found.append("lockstep: true, expected false with a device: hardware has a tick of its own")
+    return found

@@ -1,65 +1,110 @@
-"""What the steps between the tests ask of rig and tests, checked before the first one."""
+"""What the steps between the tests ask of rigs, tests and files, looked at before the first test."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from abrace.campaign.file import BandedNoise, Design, Identify, RigTest
+from abrace.campaign.drives import BandedNoise
+from abrace.campaign.names import CONTROLLER_FILE, MODEL_FILE, is_path
+from abrace.campaign.tasks import Ambient, Compare, Design, Identify, RigTest, Validate
+from abrace_bags.bag import topic_names
+from abrace_core.controller_file import load_controller
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import load_model
 from abrace_core.node import find_file
 from abrace_lqg.weights import load_weights
 from abrace_sysid.recordings import LEAST_SECONDS
 
 if TYPE_CHECKING:
-    from abrace.campaign.file import Campaign
+    from collections.abc import Iterator, Mapping
+
+    from abrace.campaign.tasks import Task
     from abrace_plant.rig.model import Rig
 
+MODELS = ("model", "reduced", "superposed")
+"""Files that an identify step writes."""
 
-def check_offline_steps(campaign: Campaign, rig: Rig) -> None:
-    """Refuse a campaign with an identification or a design that cannot succeed on the `rig`.
 
-    Raises
-    ------
-    AbraceError
-        Naming the step, the key and what was expected.
+def wrong_offline(task: Task, tests: Mapping[str, RigTest], rig: Rig) -> Iterator[str]:
+    """What an identification, a design or a comparison cannot succeed with.
+
+    Parameters
+    ----------
+    task
+        Of a step.
+    tests
+        Those of the campaign.
+    rig
+        Of the tests that it uses.
     """
-    tests = {step.name: step.task for step in campaign.steps if isinstance(step.task, RigTest)}
-    for step in campaign.steps:
-        try:
-            if isinstance(step.task, Identify):
-                _check_identify(step.task, tests, rig)
-            elif isinstance(step.task, Design):
-                _check_design(step.task, rig)
-        except AbraceError as error:
-            raise AbraceError(f"step {step.name}: {error}") from error
+    match task:
+        case Identify():
+            yield from _wrong_bags("identify.table", task.table)
+            yield from _wrong_bags("identify.command", task.command)
+            yield from _wrong_identify(task, tests, rig)
+        case Design():
+            yield from _wrong_model("design.model", task.model, ("reduced",))
+            try:
+                weights = load_weights(find_file(task.weights, "abrace_lqg", "config", ".yaml", "weights"))
+                weights.of(rig.model.outputs, rig.model.inputs[1:])
+            except AbraceError as error:
+                yield f"design.weights: {error}"
+        case Ambient():
+            yield from _wrong_bags("ambient.test", task.test)
+            yield from _wrong_bags("ambient.before", task.before or ())
+        case Compare() | Validate():
+            kind = type(task).__name__.lower()
+            yield from _wrong_bags(f"{kind}.test", (task.test,))
+            yield from _wrong_bags(f"{kind}.uncontrolled", (task.uncontrolled,) if task.uncontrolled else ())
+            if isinstance(task, Validate):
+                yield from _wrong_model("validate.model", task.model, MODELS)
+                if task.controller and task.controller.endswith(CONTROLLER_FILE):
+                    try:
+                        load_controller(task.controller)
+                    except AbraceError as error:
+                        yield f"validate.controller: {error}"
 
 
-def _check_identify(task: Identify, tests: dict[str, RigTest], rig: Rig) -> None:
+def _wrong_identify(task: Identify, tests: Mapping[str, RigTest], rig: Rig) -> Iterator[str]:
     if not rig.groups:
-        raise AbraceError(f"identify: rig {rig.name} has no braces, expected one group at least")
+        yield f"identify: rig {rig.name} has no braces, expected one group at least"
     if rig.groups > 1 and task.fit not in (None, "maximum_likelihood"):
-        raise AbraceError(f"identify.fit: {task.fit} of {rig.groups} brace groups, expected maximum_likelihood")
+        yield f"identify.fit: {task.fit} of {rig.groups} brace groups, expected maximum_likelihood"
     least = 2 * rig.floors
     if task.command_order and (task.command_order < least or task.command_order % 2):
-        raise AbraceError(
-            f"identify.command_order: {task.command_order}, expected 0, or an even number from {least} on"
-        )
+        yield f"identify.command_order: {task.command_order}, expected 0, or an even number from {least} on"
     for key, names in (("table", task.table), ("command", task.command)):
-        band = task.band_of(key, [tests[name] for name in names])
-        for name in names:
-            test = tests[name]
+        own = {name: tests[name] for name in names if name in tests}
+        band = task.band_of(key, list(own.values()))
+        for name, test in own.items():
             if test.duration < LEAST_SECONDS:
-                raise AbraceError(
-                    f"identify.{key}: {name} has {test.duration:g} s, expected {LEAST_SECONDS:g} s at least"
-                )
+                yield f"identify.{key}: {name} has {test.duration:g} s, expected {LEAST_SECONDS:g} s at least"
             drive = test.ground_motion if key == "table" else test.excitation
             if isinstance(drive, BandedNoise) and band and not drive.band[0] <= band[0] < band[1] <= drive.band[1]:
-                raise AbraceError(
+                yield (
                     f"identify.{key}_band: {band[0]:g} to {band[1]:g} Hz, expected within the {drive.band[0]:g} to "
                     f"{drive.band[1]:g} Hz of {name}"
                 )
 
 
-def _check_design(task: Design, rig: Rig) -> None:
-    weights = load_weights(find_file(task.weights, "abrace_lqg", "config", ".yaml", "weights"))
-    weights.of(rig.model.outputs, rig.model.inputs[1:])
+def _wrong_bags(key: str, names: tuple[str, ...]) -> Iterator[str]:
+    """The bags among some tests that cannot be read."""
+    for name in filter(is_path, names):
+        try:
+            if not any(topic.endswith("/response") for topic in topic_names(name)):
+                yield f"{key}: bag {name} has no topic response, expected the bag of a test"
+        except AbraceError as error:
+            yield f"{key}: {error}"
+
+
+def _wrong_model(key: str, model: str, names: tuple[str, ...]) -> Iterator[str]:
+    """The files of a model by its path that cannot be read."""
+    if not is_path(model):
+        return
+    path = Path(model)
+    for file in [path] if model.endswith(MODEL_FILE) else [path / f"{name}{MODEL_FILE}" for name in names]:
+        try:
+            load_model(file)
+        except AbraceError as error:
+            yield f"{key}: {error}"

@@ -31,12 +31,13 @@ def parameter_file(path: Path | str, parameters: Mapping[str, Any]) -> Path:
     AbraceError
         If a value is none of these, is not finite, or is an empty list (which has no type in ROS).
     """
-    lines = [f"    {_quoted(name)}: {_written(name, value)}\n" for name, value in parameters.items()]
+    lines = [f"    {_quoted(name)}: {written(name, value)}\n" for name, value in parameters.items()]
     write_text(path, "/**:\n  ros__parameters:" + ("\n" + "".join(lines) if lines else " {}\n"))
     return Path(path)
 
 
-def _written(name: str, value: Any) -> str:
+def written(name: str, value: Any) -> str:
+    """The `value` of the parameter `name` as YAML; errors as in `parameter_file`."""
     match value:
         case bool():
             return "true" if value else "false"
@@ -51,7 +52,7 @@ def _written(name: str, value: Any) -> str:
             if kinds == {int, float}:
                 value, kinds = [float(item) for item in value], {float}
             if len(kinds) == 1 and None not in kinds:
-                return "[" + ", ".join(_written(name, item) for item in value) + "]"
+                return "[" + ", ".join(written(name, item) for item in value) + "]"
     raise AbraceError(
         f"parameter {name}: {value!r}, expected a bool, a 64-bit int, a finite float, a string, or a list of one kind"
     )

@@ -11,7 +11,8 @@ poles.json, from an identify step; frequencies [rad/s], slowest first; `true` is
 
 comparison.json, from a validate step; every quantity of the rig in the same order in all three; cm, g, kgf
 (`abrace_core.response.in_paper_units`); channels that never move may be missing in `simulated_vs_measured`;
-`uncontrolled` is null where no such test was made; `clipped` are samples at the end of a sensor's range, null where the
+`uncontrolled` is null where no such test was made, `simulated` where no model predicted it (then there is no agreement
+with one either); `clipped` are samples at the end of a sensor's range, null where the
 bag does not say::
 
     {"test": {"record": "el_centro", "peak_acceleration": 0.980665, "controller": "lqg3"},
@@ -123,16 +124,18 @@ class Prediction(Checked):
     peak_rms_error: NonNegative
 
 
-class Comparison(Prediction):
+class Comparison(Checked):
     """comparison.json."""
 
     test: Facts
     measured: dict[str, Cells]
-    simulated: dict[str, Cells]
+    simulated: dict[str, Cells] | None
     uncontrolled: dict[str, Cells] | None
+    simulated_vs_measured: dict[str, Agreement] = {}
+    peak_rms_error: NonNegative | None = None
     clipped: dict[str, dict[str, Count] | None] = {}
     validity: ValidityFinding | None = None
-    other_models: dict[str, Prediction]
+    other_models: dict[str, Prediction] = {}
 
     @pydantic.model_validator(mode="after")
     def _same_rows(self) -> Comparison:
@@ -141,8 +144,9 @@ class Comparison(Prediction):
             given = getattr(self, name)
             if given is not None and list(given) != rows:
                 raise ValueError(f"{name} with the rows of measured, {' '.join(rows)}")
-        for prediction in (self, *self.other_models.values()):
-            if not set(prediction.simulated_vs_measured) <= set(rows):
+        others = (one.simulated_vs_measured for one in self.other_models.values())
+        for agreement in (self.simulated_vs_measured, *others):
+            if not set(agreement) <= set(rows):
                 raise ValueError(f"simulated_vs_measured with rows of measured, {' '.join(rows)}")
         return self
 

@@ -49,7 +49,7 @@ def _comparison(comparison: Comparison) -> dict[str, Any]:
         "units": {name: paper_unit(name)[1] for name in comparison.measured},
         "table1": {
             "measured": _dumped(comparison.measured),
-            "simulated": _dumped(comparison.simulated),
+            "simulated": _dumped(comparison.simulated) if comparison.simulated else None,
             "error_vs_paper_experiment": error_vs_paper(comparison, comparison.measured),
             "simulated_error_vs_paper_experiment": error_vs_paper(comparison, comparison.simulated),
         },
@@ -70,9 +70,9 @@ def poles_by_test(poles: AllPoles) -> tuple[tuple[str, Poles], tuple[str, Poles]
     return ("table", poles.table), ("command", poles.command)
 
 
-def error_vs_paper(comparison: Comparison, rows: Mapping[str, Cells]) -> float | None:
+def error_vs_paper(comparison: Comparison, rows: Mapping[str, Cells] | None) -> float | None:
     """Mean relative error of the `rows` of a `comparison` to Table 1's experiment; None where it is of another test."""
-    if not comparison.is_the_papers:
+    if not comparison.is_the_papers or rows is None:
         return None
     return mean_relative_error({name: PeakRms(row.peak, row.rms) for name, row in rows.items()}, TABLE_1_EXPERIMENT)
 
@@ -116,10 +116,11 @@ def worst_peak_rms_error(comparison: Comparison) -> float:
     Parameters
     ----------
     comparison
-        Of a validate step.
+        Of a validate step, with a model.
     """
+    simulated = comparison.simulated or {}
     return max(
-        abs(getattr(comparison.simulated[name], key) / getattr(comparison.measured[name], key) - 1)
+        abs(getattr(simulated[name], key) / getattr(comparison.measured[name], key) - 1)
         for name in comparison.simulated_vs_measured
         for key in ("peak", "rms")
     )

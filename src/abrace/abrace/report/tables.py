@@ -12,7 +12,6 @@ from abrace.report.results import (
     Facts,
     Pole,
     Poles,
-    Prediction,
     Results,
     Timing,
     ValidityFinding,
@@ -53,9 +52,13 @@ def tables(results: Results) -> list[Table]:
         found.append(_table_1(results.main))
         if results.main.uncontrolled is not None:
             found.append(_reduction_table(results.main, results.main.uncontrolled))
-        found.append(_agreement_table(results.main))
+        if results.main.simulated_vs_measured:
+            found.append(_agreement_table(results.main))
     if len(results.comparisons) > 1:
-        found += [*_controller_tables(results.comparisons), _all_agreements_table(results.comparisons)]
+        found += _controller_tables(results.comparisons)
+    predicted = {step: one for step, one in results.comparisons.items() if one.simulated_vs_measured}
+    if len(predicted) > 1:
+        found.append(_all_agreements_table(predicted))
     clipped = _clipped_rows(results.comparisons)
     if clipped:
         found.append(Table("At the end of a sensor's range", ("test", ""), clipped))
@@ -131,16 +134,17 @@ def _ambient_table(step: str, found: AmbientResult) -> Table:
 
 def _table_1(comparison: Comparison) -> Table:
     facts = comparison.test
-    columns = {
-        "measured": {name: PeakRms(row.peak, row.rms) for name, row in comparison.measured.items()},
-        "simulated": {name: PeakRms(row.peak, row.rms) for name, row in comparison.simulated.items()},
+    given = {"measured": comparison.measured, "simulated": comparison.simulated or {}}
+    columns: dict[str, Mapping[str, PeakRms]] = {
+        title: {name: PeakRms(row.peak, row.rms) for name, row in rows.items()} for title, rows in given.items() if rows
     }
     notes: tuple[str, ...] = ()
     if comparison.is_the_papers:
         columns = {"paper exp.": TABLE_1_EXPERIMENT, "paper sim.": TABLE_1_SIMULATION, **columns}
-        measured, simulated = (error_vs_paper(comparison, r) for r in (comparison.measured, comparison.simulated))
+        errors = {title: error_vs_paper(comparison, rows) for title, rows in given.items() if rows}
         note = "Mean absolute relative error against the paper's experiment, 18 cells: "
-        note += f"measured {measured:.3f}, simulated {simulated:.3f}, the paper's simulation {PAPER_ERROR:.3f}"
+        note += ", ".join(f"{title} {error or 0.0:.3f}" for title, error in errors.items())
+        note += f", the paper's simulation {PAPER_ERROR:.3f}"
         notes = (note, FITTED)
     rows = []
     for name in comparison.measured:
@@ -177,8 +181,9 @@ def _agreement_table(comparison: Comparison) -> Table:
         others = [other.simulated_vs_measured[channel].noise_free_error for other in comparison.other_models.values()]
         errors = (row.normalised_rms_error, row.noise_free_error, *others)
         rows.append((channel, f"{row.correlation:.4f}", *(f"{error:.4f}" for error in errors)))
-    models: dict[str, Prediction] = {"model": comparison, **comparison.other_models}
-    means = ", ".join(f"{name} {100 * prediction.peak_rms_error:.1f} %" for name, prediction in models.items())
+    models = {"model": comparison.peak_rms_error or 0.0}
+    models |= {name: other.peak_rms_error for name, other in comparison.other_models.items()}
+    means = ", ".join(f"{name} {100 * error:.1f} %" for name, error in models.items())
     notes = [f"Mean error of peaks and rms: {means}"]
     if comparison.validity is not None:
         notes.append(f"Validity: {comparison.validity.verdict}: {comparison.validity.meaning}")
@@ -219,7 +224,12 @@ def _all_agreements_table(comparisons: Mapping[str, Comparison]) -> Table:
         others = (f"{100 * other.peak_rms_error:.2f}" for other in comparison.other_models.values())
         peaks = worst_peak_rms_error(comparison)
         rows.append(
-            (step, f"{worst:.4f}", *(f"{100 * x:.2f}" for x in (error, comparison.peak_rms_error, peaks)), *others)
+            (
+                step,
+                f"{worst:.4f}",
+                *(f"{100 * x:.2f}" for x in (error, comparison.peak_rms_error or 0.0, peaks)),
+                *others,
+            )
         )
     other_models = next(iter(comparisons.values())).other_models
     return Table(

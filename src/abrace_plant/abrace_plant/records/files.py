@@ -63,7 +63,6 @@ def read_record(
     if sample_period is not None and not (math.isfinite(sample_period) and sample_period > 0):
         raise AbraceError(f"ground motion sample_period {sample_period} s: expected more than 0")
     name = str(path_or_name)
-    known = name in KNOWN_RECORDS
     path = record_file(name)
     try:
         is_folder = path.is_dir()
@@ -80,8 +79,7 @@ def read_record(
         acceleration = reading.acceleration * UNITS[reading.unit or unit or ""]
     if not np.isfinite(acceleration).all():
         raise record_error(name, "a value beyond all numbers in m/s^2, expected an acceleration")
-    called = name if known else path.name if is_folder else path.stem
-    return Record(called, _period(name, reading.sample_period, sample_period), acceleration)
+    return Record(record_name(name), _period(name, reading.sample_period, sample_period), acceleration)
 
 
 def _period(name: str, stated: float | None, given: float | None) -> float:
@@ -116,6 +114,12 @@ def _read(name: str, path: Path, is_folder: bool, channel: str | None) -> Readin
     if ending == ".at2":
         return read_at2(file)
     return read_knet(file) if ending in KNET_ENDINGS else read_text(file)
+
+
+def record_name(name: str) -> str:
+    """What a record is called: its known `name`, or that of its file without the ending, or of its folder."""
+    path = Path(name)
+    return name if name in KNOWN_RECORDS else path.name if path.is_dir() else path.stem
 
 
 def record_file(name: str) -> Path:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from abrace_core.errors import AbraceError
-from abrace_core.multisine import LINES, repeated_multisine
+from abrace_core.multisine import LINES
 from abrace_core.node import Parameter, run
 from abrace_core.node.brace_commander import BraceCommander
-from abrace_core.noise import banded_noise
+from abrace_sysid.excitation_signal import excitation_signal
 
 PARAMETERS = [
     Parameter("sample_rate", 500.0, "Hz, of the rig", minimum=1.0),
@@ -36,30 +36,12 @@ class Excitation(BraceCommander):
         if len(given.band) != 2:
             raise AbraceError(f"parameter band: {given.band}, expected two frequencies in Hz")
         groups = len(given.force_limit)
-        self.signal = np.column_stack([self.signal_of(group, groups) for group in range(groups)])
+        self.signal = excitation_signal(given, groups)
         self.nothing = np.zeros(groups)
         self.first: int | None = None
         self.cancelled = ""
         self.played = 0
         self.create_topics(1 / given.sample_rate, given.force_limit)
-
-    def signal_of(self, group: int, groups: int) -> np.ndarray:
-        """(samples,) [N] of one of so many brace groups; multisines of different groups are orthogonal."""
-        given = self.parameters
-        rate, band = given.sample_rate, (given.band[0], given.band[1])
-        if given.signal == "white_noise":
-            return banded_noise(round(given.duration * rate), rate, band, given.rms, given.seed + group)
-        return repeated_multisine(
-            given.duration,
-            given.period,
-            rate,
-            band,
-            given.rms,
-            given.seed,
-            given.lines,
-            given.slope,
-            share=(group, groups),
-        )
 
     def activate(self) -> None:
         """Play the signal, from the first sample on."""

@@ -1,26 +1,29 @@
-"""The node `validate`: a bag against its simulation by a model, and against the same test without control."""
+"""The node `validate`: a bag against its simulation by a model, against the same test without control, or both."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from abrace_bags import read_run
 from abrace_core.controller_file import load_controller
 from abrace_core.drawing import save_figure
+from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
-from abrace_core.linear_model import load_model
+from abrace_core.linear_model import LinearModel, load_model
 from abrace_core.node import AbraceNode, Parameter, run
 from abrace_core.response import PeakRms, clipped_sentences, in_paper_units, peak_rms
+from abrace_core.run import Run
 from abrace_sysid.figures import validation as figures
 from abrace_sysid.validation import Comparison, compare
 from abrace_sysid.validity.prediction import predicted
 
 PARAMETERS = [
     Parameter("bag", "", "bag of the test to compare", required=True),
-    Parameter("model", "", "model file (JSON) to simulate with", required=True),
+    Parameter("model", "", "model file (JSON) to simulate with; empty: only against the test without control"),
     Parameter("other_models", [], "further model files to simulate with, compared in the same way", element=str),
     Parameter("controller", "", "controller file of the test; empty: the recorded command drives the model"),
     Parameter("uncontrolled", "", "bag of the same test without control; empty: none"),
@@ -41,61 +44,76 @@ class Validate(AbraceNode):
         """Read, simulate, compare, write, draw."""
         given = self.parameters
         print("reading the bags", flush=True)
-        test, model = read_run(given.bag), load_model(given.model)
-        uncontrolled = read_run(given.uncontrolled) if given.uncontrolled else None
-        for recorded in [test] + ([uncontrolled] if uncontrolled else []):
-            for warning in recorded.facts.get("warnings", []):
-                self.get_logger().warning(warning)
-            for sentence in clipped_sentences(recorded.clipped_samples):
-                self.get_logger().warning(f"{recorded.source}: {sentence}")
-        law, limit, correction = None, np.full(test.groups, np.inf), None
-        if given.controller:
-            controller = load_controller(given.controller)
-            law, limit, correction = controller.law, controller.force_limit, controller.correction
-        clipped = {"measured": test.clipped_samples}
-        if uncontrolled:
-            clipped["uncontrolled"] = uncontrolled.clipped_samples
-        print("simulating", flush=True)
-        comparison = compare(test, model, law, limit, correction)
-        agreement, judged = _agreement(comparison), predicted(comparison)
-        others = {
-            Path(path).stem: compare(test, load_model(path), law, limit, correction) for path in given.other_models
-        }
-        content = {
+        test = self.read(given.bag)
+        uncontrolled = self.read(given.uncontrolled) if given.uncontrolled else None
+        if not given.model and not uncontrolled:
+            raise AbraceError("parameter model: empty, expected a model file (JSON), or a bag for uncontrolled")
+        output, top = Path(given.output), test.floors
+        content: dict[str, Any] = {
             "test": {
                 "record": test.facts.get("record", ""),
                 "peak_acceleration": float(test.facts.get("peak_acceleration", 0.0)),
                 "controller": test.facts.get("controller", ""),
             },
-            "measured": _table(comparison.measured_peak_rms()),
-            "simulated": _table(comparison.simulated_peak_rms()),
+            "measured": _table(peak_rms(test)),
+            "simulated": None,
             "uncontrolled": _table(peak_rms(uncontrolled)) if uncontrolled else None,
-            "clipped": clipped,
-            "simulated_vs_measured": agreement,
-            "peak_rms_error": comparison.peak_rms_error(),
-            "validity": judged.content,
-            "other_models": {
-                name: {"simulated_vs_measured": _agreement(other), "peak_rms_error": other.peak_rms_error()}
-                for name, other in others.items()
-            },
+            "clipped": {"measured": test.clipped_samples}
+            | ({"uncontrolled": uncontrolled.clipped_samples} if uncontrolled else {}),
         }
-        output = Path(given.output)
+        judged = None
+        if given.model:
+            print("simulating", flush=True)
+            models = {Path(path).stem: load_model(path) for path in (given.model, *given.other_models)}
+            first, *others = comparisons = self.simulate(test, models)
+            judged = predicted(comparisons[first])
+            content |= _simulated(comparisons[first]) | {
+                "simulated": _table(comparisons[first].simulated_peak_rms()),
+                "validity": judged.content,
+                "other_models": {name: _simulated(comparisons[name]) for name in others},
+            }
         write_text(output / "comparison.json", json.dumps(content, indent=1))
-        top = test.floors
-        begin, end = comparison.time[0], comparison.time[-1]
-        drawing = figures.time_histories(comparison, [f"x{top}", "a1"], (begin, min(begin + ZOOM, end)))
-        save_figure(drawing, output / "figure_6_time_histories.png")
+        if given.model:
+            shown = comparisons[first]
+            zoom = (shown.time[0], min(shown.time[0] + ZOOM, shown.time[-1]))
+            save_figure(figures.time_histories(shown, [f"x{top}", "a1"], zoom), output / "figure_6_time_histories.png")
+            _print(comparisons)
         if uncontrolled:
             drawing = figures.control_effect(uncontrolled, test, [f"x{top}", f"a{top}"])
             save_figure(drawing, output / "uncontrolled_and_controlled.png")
-        for label, one in ((Path(given.model).stem, comparison), *others.items()):
-            print(f"{label}: error of peaks and rms {one.peak_rms_error():.4f}")
-            print("channel  correlation  rms error / rms  without sensor noise")
-            for name, row in _agreement(one).items():
-                error, noise_free = row["normalised_rms_error"], row["noise_free_error"]
-                print(f"{name:8} {row['correlation']:11.4f}  {error:15.4f}  {noise_free:20.4f}")
         print(f"wrote {output}")
-        print(f"validity: {judged.verdict.words}: {judged.meaning}")
+        if judged:
+            print(f"validity: {judged.verdict.words}: {judged.meaning}")
+
+    def read(self, bag: str) -> Run:
+        """The run of a bag; what is to be said of it is a warning."""
+        recorded = read_run(bag)
+        for warning in recorded.facts.get("warnings", []):
+            self.get_logger().warning(warning)
+        for sentence in clipped_sentences(recorded.clipped_samples):
+            self.get_logger().warning(f"{recorded.source}: {sentence}")
+        return recorded
+
+    def simulate(self, test: Run, models: dict[str, LinearModel]) -> dict[str, Comparison]:
+        """The test simulated by each model, with the controller's loop closed where one is given."""
+        law, limit, correction = None, np.full(test.groups, np.inf), None
+        if self.parameters.controller:
+            controller = load_controller(self.parameters.controller)
+            law, limit, correction = controller.law, controller.force_limit, controller.correction
+        return {name: compare(test, model, law, limit, correction) for name, model in models.items()}
+
+
+def _simulated(comparison: Comparison) -> dict[str, Any]:
+    return {"simulated_vs_measured": _agreement(comparison), "peak_rms_error": comparison.peak_rms_error()}
+
+
+def _print(comparisons: dict[str, Comparison]) -> None:
+    for label, one in comparisons.items():
+        print(f"{label}: error of peaks and rms {one.peak_rms_error():.4f}")
+        print("channel  correlation  rms error / rms  without sensor noise")
+        for name, row in _agreement(one).items():
+            error, noise_free = row["normalised_rms_error"], row["noise_free_error"]
+            print(f"{name:8} {row['correlation']:11.4f}  {error:15.4f}  {noise_free:20.4f}")
 
 
 def _agreement(comparison: Comparison) -> dict[str, dict[str, float]]:

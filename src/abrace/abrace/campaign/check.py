@@ -1,0 +1,69 @@
+"""A campaign checked whole before anything moves: every file, every name, every limit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from abrace.campaign.demands import Signals, wrong_test
+from abrace.campaign.file import refuse
+from abrace.campaign.laboratory import Laboratories, program_of
+from abrace.campaign.offline import wrong_offline
+from abrace.campaign.tasks import RigTest
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from abrace.campaign.file import Campaign
+    from abrace.campaign.tasks import Task
+
+
+class CheckedCampaign:
+    """A campaign of which nothing is wrong that can be found before the first test.
+
+    Parameters
+    ----------
+    campaign
+        As its file has it.
+
+    Raises
+    ------
+    AbraceError
+        With a line for each mistake: the file, the step, the key and what was expected.
+    """
+
+    def __init__(self, campaign: Campaign) -> None:
+        self.campaign = campaign
+        self.laboratories = Laboratories(campaign)
+        self.signals = Signals()
+        found = self._wrong_rigs()
+        if not found:
+            for step in campaign.steps:
+                found += [f"step {step.name}: {problem}" for problem in self._wrong_step(step.task)]
+        if found:
+            refuse([f"campaign file {campaign.path}: {problem}" for problem in found])
+
+    def _wrong_rigs(self) -> list[str]:
+        """Rigs, devices and the user's rig nodes that are not there; nothing else can be checked without."""
+        found: dict[str, None] = {}
+        rates: dict[float, None] = {}
+        for test in (None, *self.campaign.tests.values()):
+            try:
+                laboratory = self.laboratories.of(test)
+                if laboratory.setup.node is not None:
+                    program_of(laboratory.setup.node)
+            except AbraceError as error:
+                found[f"rig: {error}"] = None
+            else:
+                rates[laboratory.rig.sample_rate] = None
+        if len(rates) > 1:
+            shown = " and ".join(f"{rate:g}" for rate in rates)
+            found[f"rig: sample rates of {shown} Hz, expected one for all tests"] = None
+        return list(found)
+
+    def _wrong_step(self, task: Task) -> Iterator[str]:
+        campaign = self.campaign
+        if isinstance(task, RigTest):
+            yield from wrong_test(task, self.laboratories.of(task), campaign.in_lockstep(task), self.signals)
+        else:
+            yield from wrong_offline(task, campaign.tests, self.laboratories.behind(task)[0].rig)

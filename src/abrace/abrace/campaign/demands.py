@@ -1,0 +1,185 @@
+"""What the tests of a campaign ask of rig, table, braces, sensors and controllers, looked at before the first one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from abrace.campaign.laboratory import program_of
+from abrace.campaign.names import CONTROLLER_FILE
+from abrace.campaign.tasks import OwnController
+from abrace_core.controller_file import load_controller
+from abrace_core.errors import AbraceError
+from abrace_core.signals import command_names
+from abrace_plant.devices.simulated import sensor_faults
+from abrace_plant.nodes.record_parameters import MOTION_PARAMETERS, motion_as_given
+from abrace_sysid.excitation_signal import excitation_signal
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from abrace.campaign.drives import Excitation, GroundMotion
+    from abrace.campaign.laboratory import Laboratory
+    from abrace.campaign.tasks import RigTest
+    from abrace_core.controller_file import Controller
+
+LEAST_EXCITATION = 2.0
+"""Seconds of an excitation by noise, at least: it rises and falls within one each."""
+
+
+@dataclass(frozen=True)
+class _Made:
+    laboratory: Laboratory
+    drive: object
+    duration: float
+    signal: NDArray[np.float64]
+
+
+class Signals:
+    """What drives the tests of a campaign, each signal made once."""
+
+    def __init__(self) -> None:
+        self._made: list[_Made] = []
+
+    def motion(self, motion: GroundMotion, duration: float, laboratory: Laboratory) -> NDArray[np.float64]:
+        """The table's acceleration (samples,) [m/s^2].
+
+        Parameters
+        ----------
+        motion
+            Of a test.
+        duration
+            Of the test [s].
+        laboratory
+            Of the test.
+
+        Raises
+        ------
+        AbraceError
+            If there is no such motion, or the table cannot play it.
+        """
+
+        def make() -> NDArray[np.float64]:
+            rig = laboratory.rig
+            given = {row.name: row.default for row in MOTION_PARAMETERS} | motion.parameters
+            values = SimpleNamespace(**given | {"sample_rate": rig.sample_rate})
+            return motion_as_given(values, rig.table, values.record, values.peak_acceleration, duration)
+
+        return self._once(motion, duration, laboratory, make)
+
+    def excitation(self, excitation: Excitation, duration: float, laboratory: Laboratory) -> NDArray[np.float64]:
+        """The commands (samples, groups) [N] of one brace of each group; arguments as in `motion`."""
+
+        def make() -> NDArray[np.float64]:
+            given = excitation.parameters | {"duration": duration, "sample_rate": laboratory.rig.sample_rate}
+            return excitation_signal(SimpleNamespace(**given), laboratory.rig.groups)
+
+        return self._once(excitation, duration, laboratory, make)
+
+    def _once(
+        self, drive: object, duration: float, laboratory: Laboratory, make: Callable[[], NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        for known in self._made:
+            if known.laboratory is laboratory and (known.drive, known.duration) == (drive, duration):
+                return known.signal
+        self._made.append(_Made(laboratory, drive, duration, make()))
+        return self._made[-1].signal
+
+
+def wrong_test(test: RigTest, laboratory: Laboratory, lockstep: bool, signals: Signals) -> Iterator[str]:
+    """What a test asks for that there is not, or cannot be.
+
+    Parameters
+    ----------
+    test
+        The test.
+    laboratory
+        Of the test.
+    lockstep
+        Whether it runs in lockstep.
+    signals
+        Those that were made already.
+    """
+    if lockstep and not (test.ground_motion or test.excitation or test.controller):
+        yield "a lockstep test without any input, expected ground motion or commands"
+    for key, attempt in (
+        ("test.ground_motion", lambda: _make_motion(test, laboratory, signals)),
+        ("test.excitation", lambda: _make_excitation(test, laboratory, signals)),
+        ("test.disconnected_braces", lambda: _disconnect(test, laboratory)),
+        ("test.sensor_faults", lambda: sensor_faults(test.sensor_faults, laboratory.rig)),
+        ("test.controller", lambda: _find_controller(test, laboratory)),
+        ("test.force_limit", lambda: _check_limits(test, laboratory)),
+    ):
+        try:
+            attempt()
+        except AbraceError as error:
+            yield f"{key}: {error}"
+
+
+def _make_motion(test: RigTest, laboratory: Laboratory, signals: Signals) -> None:
+    if test.ground_motion:
+        signals.motion(test.ground_motion, test.duration, laboratory)
+
+
+def _make_excitation(test: RigTest, laboratory: Laboratory, signals: Signals) -> None:
+    if test.excitation is None:
+        return
+    if test.duration < LEAST_EXCITATION:
+        raise AbraceError(f"{test.duration:g} s, expected {LEAST_EXCITATION:g} s at least")
+    signals.excitation(test.excitation, test.duration, laboratory)
+
+
+def _disconnect(test: RigTest, laboratory: Laboratory) -> None:
+    left = laboratory.rig.disconnect(test.disconnected_braces)
+    if (test.excitation or test.controller) and not any(group.connected for group in left.braces):
+        raise AbraceError("commands to braces of which none is connected, expected one at least")
+
+
+def _find_controller(test: RigTest, laboratory: Laboratory) -> None:
+    if isinstance(test.controller, OwnController):
+        program_of(test.controller)
+    elif test.controller and test.controller.endswith(CONTROLLER_FILE):
+        check_controller(load_controller(test.controller), laboratory, test.controller)
+
+
+def check_controller(controller: Controller, laboratory: Laboratory, source: str) -> None:
+    """Refuse a controller of another rig.
+
+    Parameters
+    ----------
+    controller
+        What a file holds.
+    laboratory
+        Whose rig it is to control.
+    source
+        The file, for the message.
+
+    Raises
+    ------
+    AbraceError
+        Naming what the rig has not.
+    """
+    rig, law = laboratory.rig, controller.law
+    unknown = [name for name in law.inputs if name not in rig.model.outputs]
+    if unknown:
+        raise AbraceError(f"{source} measures {', '.join(unknown)}, expected some of {', '.join(rig.model.outputs)}")
+    if law.outputs != command_names(rig.groups):
+        expected = ", ".join(command_names(rig.groups))
+        raise AbraceError(f"{source} commands {', '.join(law.outputs)}, expected {expected} as rig {rig.name} takes")
+    if abs(law.sample_period * rig.sample_rate - 1) > 1e-9:
+        raise AbraceError(f"{source} samples every {law.sample_period:g} s, expected {1 / rig.sample_rate:g} s")
+
+
+def _check_limits(test: RigTest, laboratory: Laboratory) -> None:
+    limits, capacity = test.force_limit, laboratory.rig.capacity.tolist()
+    if limits is None:
+        return
+    if len(limits) != len(capacity):
+        raise AbraceError(f"{list(limits)}, expected one force [N] for each of {len(capacity)} brace groups")
+    if any(limit > most for limit, most in zip(limits, capacity, strict=True)):
+        has: Any = ", ".join(f"{most:g}" for most in capacity)
+        raise AbraceError(f"{list(limits)} N, expected at most the capacity, {has} N")

@@ -1,0 +1,104 @@
+"""The nodes that drive a test, or serve as its rig: their programs, parameters and parameter files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from abrace.campaign.laboratory import program_of
+from abrace.campaign.tasks import OwnController
+from abrace.processes.group import find_executable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from abrace.campaign.laboratory import Laboratory
+    from abrace.campaign.tasks import RigTest
+
+
+@dataclass(frozen=True)
+class NodeStart:
+    """A node to start.
+
+    Parameters
+    ----------
+    name
+        What it is called in the graph.
+    program
+        Command, without arguments.
+    parameters
+        Its parameters, which go before those of the files.
+    files
+        Parameter files.
+    """
+
+    name: str
+    program: Sequence[str | Path]
+    parameters: dict[str, Any]
+    files: tuple[Path, ...] = ()
+
+
+def abrace_node(package: str, executable: str, parameters: dict[str, Any], *files: Path, name: str = "") -> NodeStart:
+    """An `executable` of a `package` with its `parameters` and `files`; `name` where it is to be called otherwise."""
+    return NodeStart(name or executable, [find_executable(package, executable)], parameters, files)
+
+
+def drivers(test: RigTest, laboratory: Laboratory, controller_file: Callable[[str], Path]) -> dict[str, NodeStart]:
+    """The nodes that drive a test, by the topic that each publishes.
+
+    Parameters
+    ----------
+    test
+        The test.
+    laboratory
+        Of the test.
+    controller_file
+        Gives the file of a controller, by what the test calls it.
+    """
+    rig, controller = laboratory.rig, test.controller
+    rates = {"rate_limit": test.rate_limit} if test.rate_limit else {}
+    limits = {"force_limit": list(test.force_limit or rig.capacity.tolist()), **rates}
+    played = {"duration": test.duration, "sample_rate": rig.sample_rate}
+    found: dict[str, NodeStart] = {}
+    if test.excitation:
+        given = {**test.excitation.parameters, **played, **limits}
+        found["brace_command"] = abrace_node("abrace_sysid", "excitation", given)
+    elif isinstance(controller, OwnController):
+        given = {"sample_rate": rig.sample_rate, **limits, **controller.parameters}
+        found["brace_command"] = NodeStart("controller", program_of(controller), given)
+    elif controller:
+        given = limits if test.force_limit else rates
+        found["brace_command"] = abrace_node("abrace_lqg", "controller", given, controller_file(controller))
+    if test.ground_motion:
+        given = {**test.ground_motion.parameters, "rig": str(laboratory.rig_file), **played}
+        found["ground_motion"] = abrace_node("abrace_plant", "ground_motion", given)
+    return found
+
+
+def rig_node(test: RigTest, laboratory: Laboratory, seed: int, wait_for: Sequence[str]) -> NodeStart:
+    """The rig of a test, whose node is called `plant` whatever it is.
+
+    Parameters
+    ----------
+    test
+        The test.
+    laboratory
+        Of the test.
+    seed
+        Of the sensors' noise, where that is simulated.
+    wait_for
+        The topics whose answers lockstep waits for; empty: by the clock.
+    """
+    setup = laboratory.setup
+    given: dict[str, Any] = {"rig": str(laboratory.rig_file), "duration": test.duration, "autostart": False}
+    if wait_for:
+        given |= {"lockstep": True, "wait_for": list(wait_for)}
+    if setup.node is not None:
+        return NodeStart("plant", program_of(setup.node), given | setup.node.parameters)
+    if laboratory.device_file is not None:
+        return abrace_node(
+            "abrace_plant", "sensor_bridge", given | {"device": str(laboratory.device_file)}, name="plant"
+        )
+    told = {key: list(value) for key in ("disconnected_braces", "sensor_faults") if (value := getattr(test, key))}
+    return abrace_node("abrace_plant", "plant", given | {"seed": seed, **told})

@@ -1,0 +1,116 @@
+"""What drives a test: motions of the table, and commands to the braces."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import pydantic
+
+from abrace.campaign.names import Band, NonNegative, Positive, Real, Text, Whole, from_folder
+from abrace_core.config_file import Checked
+from abrace_plant.records.files import KNOWN_RECORDS
+
+Lines = Literal["all", "odd", "even"]
+
+WHITE_NOISE, MULTISINE = "white_noise", "multisine"
+
+
+class Drive(Checked):
+    """What moves the table, or what the braces are commanded."""
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Those of its node that are given: our keys are its names."""
+        given = self.model_dump(exclude_none=True)
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
+
+
+class BandedNoise(Drive):
+    """Banded white noise: rms in the unit of what it drives, band [Hz], seed."""
+
+    rms: Positive
+    band: Band
+    seed: Whole
+
+
+class Multisine(BandedNoise):
+    """A periodic multisine: as many whole periods [s] as fit in a test, on "all", "odd" or "even" lines."""
+
+    period: Positive = 32.768
+    lines: Lines = "odd"
+    slope: Real = 0.0
+
+    @pydantic.model_validator(mode="after")
+    def _above_zero(self) -> Multisine:
+        if self.band[0] == 0:
+            raise ValueError("a band that begins above 0 Hz: displacement grows with 1 / frequency^2")
+        return self
+
+
+class ExcitationNoise(BandedNoise):
+    """Brace commands of banded white noise: rms [N]."""
+
+    signal: Literal["white_noise"] = "white_noise"
+
+
+class ExcitationMultisine(Multisine):
+    """Brace commands of a multisine: rms [N]."""
+
+    signal: Literal["multisine"]
+
+
+def _signal(content: object) -> object:
+    return content.get("signal", WHITE_NOISE) if isinstance(content, dict) else getattr(content, "signal", None)
+
+
+Excitation = Annotated[
+    Annotated[ExcitationNoise, pydantic.Tag(WHITE_NOISE)] | Annotated[ExcitationMultisine, pydantic.Tag(MULTISINE)],
+    pydantic.Discriminator(_signal),
+]
+
+
+class WhiteNoise(BandedNoise):
+    """A table motion of banded white noise: rms [m/s^2]."""
+
+    record: Literal["white_noise"]
+
+
+class MultisineMotion(Multisine):
+    """A table motion of a multisine: rms [m/s^2]."""
+
+    record: Literal["multisine"]
+
+
+def _known_or_file(record: str, info: pydantic.ValidationInfo) -> str:
+    return record if record in KNOWN_RECORDS else from_folder(record, info)
+
+
+class Record(Drive):
+    """A table motion from a record, which is a known name or a file: how it is read, and what is done to it.
+
+    Everything is a parameter of the node `ground_motion` with that name, and has its default.
+    """
+
+    record: Annotated[Text, pydantic.AfterValidator(_known_or_file)]
+    peak_acceleration: NonNegative = 0.0
+    unit: Literal["g", "m/s^2", "cm/s^2"] | None = None
+    record_sample_period: Positive | None = None
+    channel: Text | None = None
+    baseline: Literal["none", "constant", "linear", "quadratic"] | None = None
+    time_scale: Positive | None = None
+    taper: NonNegative | None = None
+    low_cut: NonNegative | None = None
+    band_limit: NonNegative | None = None
+
+
+def _motion_kind(content: object) -> object:
+    record = content.get("record") if isinstance(content, dict) else getattr(content, "record", None)
+    return record if record in (WHITE_NOISE, MULTISINE) else "record"
+
+
+GroundMotion = Annotated[
+    Annotated[WhiteNoise, pydantic.Tag(WHITE_NOISE)]
+    | Annotated[MultisineMotion, pydantic.Tag(MULTISINE)]
+    | Annotated[Record, pydantic.Tag("record")],
+    pydantic.Discriminator(_motion_kind),
+]

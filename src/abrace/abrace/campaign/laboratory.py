@@ -1,0 +1,101 @@
+"""The rig of a test: its file read, its device checked, and the user's node found."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from abrace.campaign.tasks import Design, Identify, RigTest
+from abrace.processes.group import find_executable
+from abrace_core.errors import AbraceError
+from abrace_core.node import find_file
+from abrace_plant.devices.file import load_device
+from abrace_plant.rig.file import load_rig
+
+if TYPE_CHECKING:
+    from abrace.campaign.file import Campaign, RigSetup
+    from abrace.campaign.tasks import OwnNode, Task
+    from abrace_plant.rig.model import Rig
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """What a test moves, as its files have it.
+
+    Parameters
+    ----------
+    setup
+        Which it is.
+    rig
+        As the file says.
+    rig_file, device_file
+        The files; no device: None.
+    """
+
+    setup: RigSetup
+    rig: Rig
+    rig_file: Path
+    device_file: Path | None
+
+
+class Laboratories:
+    """The laboratories of a campaign, each read once.
+
+    Parameters
+    ----------
+    campaign
+        Whose tests ask for them.
+    """
+
+    def __init__(self, campaign: Campaign) -> None:
+        self._campaign = campaign
+        self._known: list[Laboratory] = []
+
+    def of(self, test: RigTest | None = None) -> Laboratory:
+        """That of a `test`, or the campaign's own.
+
+        Raises
+        ------
+        AbraceError
+            If the rig's or the device's file is wrong.
+        """
+        setup = self._campaign.setup if test is None else self._campaign.setup_of(test)
+        for known in self._known:
+            if known.setup == setup:
+                return known
+        rig_file = find_file(setup.file, "abrace_plant", "config", ".yaml", "rig").resolve()
+        rig, device_file = load_rig(rig_file), None
+        if setup.device is not None:
+            device_file = find_file(setup.device, "abrace_plant", "config/devices", ".yaml", "device").resolve()
+            load_device(device_file, rig)
+        self._known.append(Laboratory(setup, rig, rig_file, device_file))
+        return self._known[-1]
+
+    def behind(self, task: Task) -> tuple[Laboratory, RigTest | None]:
+        """The laboratory and the first of the tests that an identification uses, or the model of a design.
+
+        The campaign's own where those tests are another campaign's, and for every other `task`.
+        """
+        steps = {step.name: step.task for step in self._campaign.steps}
+        if isinstance(task, Design):
+            task = steps.get(task.model, task)
+        names = (*task.table, *task.command) if isinstance(task, Identify) else ()
+        test = next((one for name in names if isinstance(one := steps.get(name), RigTest)), None)
+        return self.of(test), test
+
+
+def program_of(node: OwnNode) -> list[str | Path]:
+    """The command that starts a `node` of the user's, without its arguments.
+
+    Raises
+    ------
+    AbraceError
+        If there is no such executable or file.
+    """
+    if len(node.run) == 2:
+        return [find_executable(*node.run)]
+    if not Path(node.run[0]).is_file():
+        raise AbraceError(f"{node.run[0]}: no such file, expected a Python program")
+    return [sys.executable, node.run[0]]
