@@ -9,7 +9,7 @@ from abrace.report.table import Table
 from abrace.report.tables import PAPER_POLES
 from abrace.report.writer import make_report
 from abrace_core.errors import AbraceError
-from abrace_core.response import TABLE_1_EXPERIMENT, TABLE_1_SIMULATION
+from abrace_core.response import PAPER_RIG, TABLE_1_EXPERIMENT, TABLE_1_SIMULATION
 
 
 def as_rows(table, factor=1.0):
@@ -31,11 +31,14 @@ def example():
     uncontrolled["U"] = {"peak": 0.0, "rms": 0.0}
     return {
         "poles.json": {
+            "rig": PAPER_RIG,
+        }
+        | {
             test: {"identified": as_poles(poles, 1.001, 0.95), "true": as_poles(poles)}
             for test, poles in PAPER_POLES.items()
         },
         "check/comparison.json": {
-            "test": {"record": "el_centro", "peak_acceleration": 0.980665, "controller": "lqg3"},
+            "test": {"record": "el_centro", "peak_acceleration": 0.980665, "controller": "lqg3", "rig": PAPER_RIG},
             "measured": as_rows(TABLE_1_EXPERIMENT, 1.1),
             "simulated": as_rows(TABLE_1_SIMULATION),
             "uncontrolled": uncontrolled,
@@ -192,7 +195,7 @@ def test_another_test_is_not_set_beside_table_1(tmp_path, key, value):
     text, summary = reported(tmp_path, results)
     assert "paper exp." not in text
     assert summary["table1"]["error_vs_paper_experiment"] is None
-    assert row(text, "Table 1", "x1 [cm]") == ["x1 [cm]", "1.214", "1.339", "0.175", "0.166"]
+    assert row(text, "Peak and rms", "x1 [cm]") == ["x1 [cm]", "1.214", "1.339", "0.175", "0.166"]
 
 
 def test_a_pole_that_was_missed_or_made_up_shows(tmp_path):
@@ -207,8 +210,8 @@ def test_a_pole_that_was_missed_or_made_up_shows(tmp_path):
 
 def test_a_rig_whose_own_poles_nobody_knows_and_of_another_size_is_reported(tmp_path):
     results = example()
-    for poles in results["poles.json"].values():
-        poles["true"] = []
+    for test in ("table", "command"):
+        results["poles.json"][test]["true"] = []
     for table in ("measured", "simulated", "uncontrolled"):
         rows = results["check/comparison.json"][table]
         results["check/comparison.json"][table] = {"x1": rows["x1"], "x5": rows["x3"], "U": rows["U"]}
@@ -227,10 +230,10 @@ def test_markdown_holds_the_tables_and_links_the_figures(tmp_path):
     lines = (tmp_path / "report.md").read_text().splitlines()
     assert lines[0] == f"# {tmp_path.name}"
     assert "| x1 [cm] | 1.104 | 1.339 | 1.214 | 1.339 | 0.159 | 0.166 | 0.175 | 0.166 |" in lines
-    assert [line for line in lines if line.startswith("!")] == [
+    assert {line for line in lines if line.startswith("!")} == {
         "![fig 3](fig_3.png)",
         "![fig6 x3](figures/fig6%20x3.svg)",
-    ]
+    }
 
 
 def test_a_test_without_one_to_set_beside_has_no_reductions(tmp_path):

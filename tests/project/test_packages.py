@@ -24,6 +24,7 @@ FROM_PIP = {
     "mcap",
     "zstandard",
     "lz4",
+    "plotly",
     "pymodbus",
     "rosbags",
     "dask",

@@ -6,11 +6,11 @@ import argparse
 import os
 import sys
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from abrace.bag_command import add_bag_parser, bag_command
 from abrace.processes.group import NodeDied, find_executable, terminate_as_exception
+from abrace.report_command import add_report_parser, report_command
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -32,8 +32,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("arguments", nargs=argparse.REMAINDER, help="as for ros2 run: --ros-args -p name:=value ...")
     campaign = commands.add_parser("campaign", help="run the steps of a campaign file, then report")
     campaign.add_argument("file", help="YAML file, or the name of one of ours: demo, five_controllers")
-    report = commands.add_parser("report", help="tables and summary.json from a campaign's results")
-    report.add_argument("directory", type=Path, help="such as results/demo")
+    add_report_parser(commands)
     add_bag_parser(commands)
     commands.add_parser(
         "status", help="every node of the running graph: state, fault, rate, losses; live on a terminal"
@@ -78,12 +77,11 @@ def _carry_out(given: argparse.Namespace) -> int:
         return 0
     if given.command in ("status", "stop", "clear", "set"):
         return _operate(given)
-    from abrace.report.writer import make_report
-
     if given.command == "report":
-        print(make_report(given.directory))
+        report_command(given)
         return 0
     from abrace.campaign.runner import run_campaign
+    from abrace.report.writer import make_report
     from abrace_core.node import find_file
 
     name = given.file if given.command == "campaign" else DEMO

@@ -1,8 +1,8 @@
-"""Peak and rms of a test's recorded quantities, in the units and the rows of the paper's Table 1."""
+"""Peak and rms of a test's recorded quantities, in the rows of the paper's Table 1, in its units or in SI units."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -49,8 +49,16 @@ TABLE_1_SIMULATION = {
 }
 """The paper's simulation of the same test [cm, g, kgf]; 0.136 away from its experiment by `mean_relative_error`."""
 
+PAPER_RIG = "ncree_three_storey"
+"""Name that the rig file of the paper's building gives; the numbers of the paper stand beside no other rig's."""
+
+UnitSystem = Literal["paper", "SI"]
+"""Units in which quantities are shown: cm, g and kgf, or mm, m/s² and kN."""
+
 _PAPER_UNITS = {"x": (100.0, "cm"), "a": (1 / 9.80665, "g"), "w": (1 / 9.80665, "g")}
 _PAPER_FORCE = (1 / 9.80665, "kgf")
+_SI_UNITS = {"x": (1000.0, "mm"), "a": (1.0, "m/s²"), "w": (1.0, "m/s²")}
+_SI_FORCE = (0.001, "kN")
 
 
 def paper_unit(name: str) -> tuple[float, str]:
@@ -62,6 +70,24 @@ def paper_unit(name: str) -> tuple[float, str]:
     ['cm', 'g', 'kgf', 'kgf', 'g']
     """
     return _PAPER_UNITS.get(name[0], _PAPER_FORCE)
+
+
+def unit_system(rig: str) -> UnitSystem:
+    """The units in which tests of the `rig` of this name are shown.
+
+    >>> unit_system("ncree_three_storey"), unit_system("five_storey")
+    ('paper', 'SI')
+    """
+    return "paper" if rig == PAPER_RIG else "SI"
+
+
+def shown_unit(name: str, system: UnitSystem) -> tuple[float, str]:
+    """The factor from SI base units to that in which a `system` of units shows the signal `name`, and that unit.
+
+    >>> [shown_unit(name, "SI") for name in ("x3", "a1", "U")]
+    [(1000.0, 'mm'), (1.0, 'm/s²'), (0.001, 'kN')]
+    """
+    return paper_unit(name) if system == "paper" else _SI_UNITS.get(name[0], _SI_FORCE)
 
 
 def peak_rms_of(names: Sequence[str], values: NDArray[np.float64]) -> dict[str, PeakRms]:

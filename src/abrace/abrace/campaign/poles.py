@@ -11,6 +11,7 @@ from scipy import optimize
 from abrace_core.drawing import save_figure
 from abrace_core.files import write_text
 from abrace_core.linear_model import pole_table
+from abrace_core.response import PAPER_RIG
 from abrace_plant.rig.published import PAPER_POLES
 from abrace_sysid.figures.identification import pole_chart
 
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_plant.rig.model import Rig
-
-PAPER_RIG = "ncree_three_storey"
 
 
 def compare_poles(results: Path, step: str, rig: Rig, simulated: bool) -> None:
@@ -39,7 +38,8 @@ def compare_poles(results: Path, step: str, rig: Rig, simulated: bool) -> None:
     # the table test shows the building's modes, wherever local ones lie: the nearest to those found
     true = {"table": _nearest(identified["table"], pairs), "command": pairs[: len(identified["command"])]}
     poles = {test: {"identified": found, "true": true[test]} for test, found in identified.items()}
-    write_text(results / "poles.json", json.dumps(poles, indent=1))
+    content = {"rig": rig.name, **poles}
+    write_text(results / "poles.json", json.dumps(content, indent=1))
     highest = 1.2 * max(pair["frequency"] for pair in identified["command"])
     reference = {"rig": own[np.abs(own) < highest]} if own.size else {}
     if rig.name == PAPER_RIG:

@@ -21,6 +21,7 @@ from abrace.campaign.drivers import NodeStart, abrace_node, drivers, rig_node
 from abrace.campaign.drives import Record
 from abrace.campaign.file import Campaign, load_campaign
 from abrace.campaign.names import CONTROLLER_FILE, MODEL_FILE, is_path
+from abrace.campaign.origin import write_origin
 from abrace.campaign.poles import compare_poles
 from abrace.campaign.tasks import Ambient, Compare, Design, Identify, OwnController, OwnNode, RigTest, Validate
 from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
@@ -372,6 +373,7 @@ def run_campaign(path: Path) -> Path:
     bags = Path("bags") / campaign.name / datetime.now().strftime("%Y%m%d-%H%M%S")
     shutil.rmtree(results, ignore_errors=True)
     results.mkdir(parents=True)
+    write_origin(results, path)
     runner = _Runner(campaign, laboratories, results, bags)
     progress = Progress(len(campaign.steps))
     for number, step in enumerate(campaign.steps):

@@ -1,12 +1,14 @@
 """The files of results that a report is made from; each is a JSON object with these keys and no others.
 
-A campaign always writes timing.json; poles.json where it has an identify step, and in a folder of the step's name the
-validity.json of the node `identify`; each validate step has a comparison.json in a folder of its name, each ambient
-step the ambient.json of the node `ambient`.
+A campaign always writes timing.json and origin.json (its file, command and versions, `abrace.campaign.origin`);
+poles.json where it has an identify step, and in a folder of the step's name the validity.json of the node `identify`;
+each validate step has a comparison.json in a folder of its name, each ambient step the ambient.json of the node
+`ambient`.
 
 poles.json, from an identify step; frequencies [rad/s], slowest first; `true` is [] where nobody knows the rig's own::
 
-    {"table":   {"identified": [{"frequency": 7.28, "damping_ratio": 0.0151}, ...], "true": [...]},
+    {"rig": "ncree_three_storey",
+     "table":   {"identified": [{"frequency": 7.28, "damping_ratio": 0.0151}, ...], "true": [...]},
      "command": {"identified": [...], "true": [...]}}
 
 comparison.json, from a validate step; every quantity of the rig in the same order in all three; cm, g, kgf
@@ -15,7 +17,8 @@ comparison.json, from a validate step; every quantity of the rig in the same ord
 with one either); `clipped` are samples at the end of a sensor's range, null where the
 bag does not say::
 
-    {"test": {"record": "el_centro", "peak_acceleration": 0.980665, "controller": "lqg3"},
+    {"test": {"record": "el_centro", "peak_acceleration": 0.980665, "controller": "lqg3",
+              "rig": "ncree_three_storey"},
      "measured": {"x1": {"peak": 1.10, "rms": 0.16}, ..., "U": {...}}, "simulated": {...}, "uncontrolled": {...},
      "simulated_vs_measured": {"x1": {"correlation": 0.998, "normalised_rms_error": 0.05, "noise_free_error": 0.04},
                                ...},
@@ -43,7 +46,7 @@ from the next sample on::
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
@@ -51,7 +54,7 @@ import pydantic
 
 from abrace_core.config_file import Checked
 from abrace_core.errors import AbraceError
-from abrace_core.response import TABLE_1_EXPERIMENT
+from abrace_core.response import PAPER_RIG, TABLE_1_EXPERIMENT
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
 NonNegative = Annotated[float, pydantic.Field(ge=0)]
@@ -74,8 +77,9 @@ class Poles(Checked):
 
 
 class AllPoles(Checked):
-    """poles.json."""
+    """poles.json: of the rig of this name."""
 
+    rig: str = ""
     table: Poles
     command: Poles
 
@@ -86,6 +90,7 @@ class Facts(Checked):
     record: str
     peak_acceleration: NonNegative
     controller: str
+    rig: str = ""
 
 
 class Cells(Checked):
@@ -144,8 +149,7 @@ class Comparison(Checked):
             given = getattr(self, name)
             if given is not None and list(given) != rows:
                 raise ValueError(f"{name} with the rows of measured, {' '.join(rows)}")
-        others = (one.simulated_vs_measured for one in self.other_models.values())
-        for agreement in (self.simulated_vs_measured, *others):
+        for agreement in (one.simulated_vs_measured for one in (self, *self.other_models.values())):
             if not set(agreement) <= set(rows):
                 raise ValueError(f"simulated_vs_measured with rows of measured, {' '.join(rows)}")
         return self
@@ -155,7 +159,8 @@ class Comparison(Checked):
         """Whether this is the test of Table 1: LQG3, El Centro at 0.1 g."""
         facts = self.test
         is_its_motion = facts.record == "el_centro" and abs(facts.peak_acceleration - 0.980665) < 1e-3
-        return is_its_motion and facts.controller == "lqg3" and set(TABLE_1_EXPERIMENT) <= set(self.measured)
+        is_its_test = is_its_motion and facts.controller == "lqg3" and facts.rig == PAPER_RIG
+        return is_its_test and set(TABLE_1_EXPERIMENT) <= set(self.measured)
 
 
 class AmbientMode(pydantic.BaseModel):
@@ -202,6 +207,68 @@ class ValidityResult(Checked):
     not_checked: dict[str, str]
 
 
+class PoleInterval(pydantic.BaseModel):
+    """A pole pair with the standard deviations of frequency [rad/s] and damping ratio, where the fit has them."""
+
+    frequency: Positive
+    damping_ratio: float
+    frequency_deviation: NonNegative | None = None
+    damping_ratio_deviation: NonNegative | None = None
+
+
+class PoleIntervals(pydantic.BaseModel):
+    """poles.json of the node `identify`: pairs of each test and those of both tests together."""
+
+    table: tuple[PoleInterval, ...]
+    command: tuple[PoleInterval, ...]
+    common: tuple[PoleInterval, ...]
+
+
+class LeastMargins(pydantic.BaseModel):
+    """Gain margin [dB], phase margin [deg], delay margin [s] (None: any) and sensitivity peak."""
+
+    gain: float | None
+    phase: float | None
+    delay: float | None
+    sensitivity_peak: float | None
+
+
+class ProofModel(pydantic.BaseModel):
+    """What a controller does with one model."""
+
+    name: str
+    order: int
+    stable: bool
+    margins: dict[str, LeastMargins] | None = None
+
+
+class ProofResult(pydantic.BaseModel):
+    """NAME_proof.json of the node `design`, as far as the report has it."""
+
+    summary: str
+    margins: LeastMargins
+    least_damping_kept: float | None
+    accepted: tuple[str, ...]
+    models: tuple[ProofModel, ...]
+
+
+class CampaignFile(pydantic.BaseModel):
+    """The campaign file, as it was."""
+
+    path: str
+    sha256: str
+    text: str
+
+
+class Origin(pydantic.BaseModel):
+    """origin.json."""
+
+    command: str
+    begun: str
+    campaign_file: CampaignFile
+    versions: dict[str, str]
+
+
 class StepTiming(Checked):
     """How long a step took."""
 
@@ -223,13 +290,22 @@ class Timing(Checked):
 
 @dataclass(frozen=True)
 class Results:
-    """What a campaign measured: comparisons, ambient tests and validity by step, in order; poles if a step has any."""
+    """What a campaign measured: by step, in order, comparisons, ambient tests, validity; poles if any."""
 
     poles: AllPoles | None
     comparisons: dict[str, Comparison]
     timing: Timing
     ambient: dict[str, AmbientResult]
     validity: dict[str, ValidityResult]
+    intervals: dict[str, PoleIntervals] = field(default_factory=dict)
+    proofs: dict[str, ProofResult] = field(default_factory=dict)
+    origin: Origin | None = None
+
+    @property
+    def rigs(self) -> set[str]:
+        """Names of the rigs that were identified or compared."""
+        named = {one.test.rig for one in self.comparisons.values()} | ({self.poles.rig} if self.poles else set())
+        return named - {""}
 
     @property
     def main(self) -> Comparison | None:
@@ -255,8 +331,10 @@ def read_results(directory: Path | str) -> Results:
     timing = _read(directory / "timing.json", Timing)
     poles = directory / "poles.json"
 
+    origin = directory / "origin.json"
+
     def of_steps(file: str, schema: type[Content]) -> dict[str, Content]:
-        paths = {step.name: directory / step.name / file for step in timing.steps}
+        paths = {step.name: directory / step.name / file.format(step=step.name) for step in timing.steps}
         return {step: _read(path, schema) for step, path in paths.items() if path.exists()}
 
     return Results(
@@ -265,6 +343,9 @@ def read_results(directory: Path | str) -> Results:
         timing,
         of_steps("ambient.json", AmbientResult),
         of_steps("validity.json", ValidityResult),
+        of_steps("poles.json", PoleIntervals),
+        of_steps("{step}_proof.json", ProofResult),
+        _read(origin, Origin) if origin.exists() else None,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from abrace_core.response import TABLE_1_EXPERIMENT, PeakRms, mean_relative_error, paper_unit
+from abrace_core.response import TABLE_1_EXPERIMENT, PeakRms, mean_relative_error, shown_unit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -12,13 +12,14 @@ if TYPE_CHECKING:
     import pydantic
 
     from abrace.report.results import AllPoles, Cells, Comparison, Pole, Poles, Results, Timing
+    from abrace.report.units import Units
 
 SAME_POLE = 0.05
 """Relative difference in frequency within which two poles count as the same."""
 
 
-def summarise(results: Results) -> dict[str, Any]:
-    """The content of summary.json from the `results` of a campaign."""
+def summarise(results: Results, units: Units) -> dict[str, Any]:
+    """The content of summary.json from the `results` of a campaign, in these `units`."""
     summary: dict[str, Any] = {"timing": timing_summary(results.timing)}
     if results.poles is not None:
         summary["poles"] = {
@@ -38,22 +39,22 @@ def summarise(results: Results) -> dict[str, Any]:
     if results.ambient:
         summary["ambient"] = _dumped(results.ambient)
     if results.main is not None:
-        summary |= _comparison(results.main)
-        summary["comparisons"] = {step: _comparison(one) for step, one in results.comparisons.items()}
+        summary |= _comparison(results.main, units)
+        summary["comparisons"] = {step: _comparison(one, units) for step, one in results.comparisons.items()}
     return summary
 
 
-def _comparison(comparison: Comparison) -> dict[str, Any]:
+def _comparison(comparison: Comparison, units: Units) -> dict[str, Any]:
     return {
         "test": comparison.test.model_dump(),
-        "units": {name: paper_unit(name)[1] for name in comparison.measured},
+        "units": {name: shown_unit(name, units.system)[1] for name in comparison.measured},
         "table1": {
-            "measured": _dumped(comparison.measured),
-            "simulated": _dumped(comparison.simulated) if comparison.simulated else None,
+            "measured": units.numbers(comparison.measured),
+            "simulated": units.numbers(comparison.simulated) if comparison.simulated else None,
             "error_vs_paper_experiment": error_vs_paper(comparison, comparison.measured),
             "simulated_error_vs_paper_experiment": error_vs_paper(comparison, comparison.simulated),
         },
-        "uncontrolled": _dumped(comparison.uncontrolled) if comparison.uncontrolled else None,
+        "uncontrolled": units.numbers(comparison.uncontrolled) if comparison.uncontrolled else None,
         "clipped": comparison.clipped,
         "simulated_vs_measured": _dumped(comparison.simulated_vs_measured),
         "peak_rms_error": comparison.peak_rms_error,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, get_args
 
 from abrace.report.results import (
@@ -11,7 +12,10 @@ from abrace.report.results import (
     Comparison,
     Facts,
     Pole,
+    PoleInterval,
+    PoleIntervals,
     Poles,
+    ProofResult,
     Results,
     Timing,
     ValidityFinding,
@@ -21,18 +25,20 @@ from abrace.report.results import (
 from abrace.report.summary import error_vs_paper, nearest_pole, poles_by_test, timing_summary, worst_peak_rms_error
 from abrace.report.table import Table
 from abrace_core.response import (
+    PAPER_RIG,
     TABLE_1_EXPERIMENT,
     TABLE_1_SIMULATION,
     PeakRms,
     clipped_sentences,
     mean_relative_error,
-    paper_unit,
 )
 from abrace_plant.rig.published import PAPER_POLES
 from abrace_sysid.fitting.pole_estimate import NORMAL_95
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+    from abrace.report.units import Units
 
 PAPER_ERROR = mean_relative_error(TABLE_1_SIMULATION, TABLE_1_EXPERIMENT)
 VERDICTS = get_args(VerdictWords)
@@ -41,28 +47,87 @@ FITTED = (
 )
 
 
-def tables(results: Results) -> list[Table]:
-    """Poles, validity, Table 1, without and with control, simulated against measured, timing: what the results have."""
+def tables(results: Results, units: Units) -> list[Table]:
+    """Poles, validity, Table 1, without and with control, simulated against measured, timing: what the results have.
+
+    Numbers are in these `units`.
+    """
+    return [
+        *identification_tables(results),
+        *comparison_tables(results, units),
+        *clipped_tables(results),
+        timing_table(results.timing),
+    ]
+
+
+def identification_tables(results: Results) -> list[Table]:
+    """Poles, validity and modes of ambient tests of the `results`."""
     found = []
     if results.poles is not None:
-        found += [_pole_table(test, poles) for test, poles in poles_by_test(results.poles)]
+        paper = results.poles.rig == PAPER_RIG
+        found += [_pole_table(test, poles, paper) for test, poles in poles_by_test(results.poles)]
     found += [_validity_table(step, one) for step, one in results.validity.items()]
-    found += [_ambient_table(step, one) for step, one in results.ambient.items()]
-    if results.main is not None:
-        found.append(_table_1(results.main))
-        if results.main.uncontrolled is not None:
-            found.append(_reduction_table(results.main, results.main.uncontrolled))
-        if results.main.simulated_vs_measured:
-            found.append(_agreement_table(results.main))
+    return found + [_ambient_table(step, one) for step, one in results.ambient.items()]
+
+
+def interval_tables(results: Results) -> list[Table]:
+    """Pole pairs of every identification of the `results` with their 95 % intervals."""
+    return [_interval_table(step, one) for step, one in results.intervals.items()]
+
+
+def comparison_tables(results: Results, units: Units) -> list[Table]:
+    """Table 1, reductions and agreement of the main comparison of the `results`, then all of them side by side."""
+    found = one_comparison(results.main, units) if results.main is not None else []
+    return [*found, *tables_of_all(results, units)]
+
+
+def one_comparison(comparison: Comparison, units: Units) -> list[Table]:
+    """Peaks and rms of a `comparison`, reductions, and agreement with models, in these `units`."""
+    found = [_table_1(comparison, units)]
+    if comparison.uncontrolled is not None:
+        found.append(_reduction_table(comparison, comparison.uncontrolled, units))
+    if comparison.simulated_vs_measured:
+        found.append(_agreement_table(comparison))
+    return found
+
+
+def tables_of_all(results: Results, units: Units) -> list[Table]:
+    """Comparisons of the `results` side by side, where there are several, in these `units`."""
+    found: list[Table] = []
     if len(results.comparisons) > 1:
-        found += _controller_tables(results.comparisons)
+        found += _controller_tables(results.comparisons, units)
     predicted = {step: one for step, one in results.comparisons.items() if one.simulated_vs_measured}
     if len(predicted) > 1:
         found.append(_all_agreements_table(predicted))
+    return found
+
+
+def clipped_tables(results: Results) -> list[Table]:
+    """Which tests of the `results` have readings at the end of a sensor's range, if any."""
     clipped = _clipped_rows(results.comparisons)
-    if clipped:
-        found.append(Table("At the end of a sensor's range", ("test", ""), clipped))
-    return [*found, _timing_table(results.timing)]
+    return [Table("At the end of a sensor's range", ("test", ""), clipped)] if clipped else []
+
+
+def margin_table(proofs: Mapping[str, ProofResult]) -> Table:
+    """Margins of every controller that was designed: the least of all models, from their `proofs`."""
+
+    def row(name: str, proof: ProofResult) -> tuple[str, ...]:
+        margins = proof.margins
+        return (
+            name,
+            _number(margins.gain, ".1f"),
+            _number(margins.phase, ".1f"),
+            _number(margins.delay and 1e3 * margins.delay, ".1f"),
+            _number(margins.sensitivity_peak, ".2f"),
+            _number(proof.least_damping_kept and 100 * proof.least_damping_kept, ".0f"),
+            "yes" if all(one.stable for one in proof.models) else "NO",
+            ", ".join(proof.accepted) or "-",
+        )
+
+    columns = ("gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "sensitivity peak", "damping kept %")
+    header = ("controller", *columns, "stable", "accepted")
+    notes = tuple(f"{name}: {proof.summary}" for name, proof in proofs.items())
+    return Table("Margins", header, tuple(row(name, proof) for name, proof in proofs.items()), notes)
 
 
 def _validity_table(step: str, validity: ValidityResult) -> Table:
@@ -81,8 +146,30 @@ def _validity_table(step: str, validity: ValidityResult) -> Table:
     return Table(title, ("check", "found", "limit", "verdict", "where"), rows, tuple(notes))
 
 
-def _pole_table(test: str, poles: Poles) -> Table:
-    paper = [Pole(frequency=abs(p), damping_ratio=-p.real / abs(p)) for p in PAPER_POLES[test]]
+def _interval_table(step: str, intervals: PoleIntervals) -> Table:
+    """Pairs of the table test, the command test and both tests, each with its 95 % interval."""
+
+    def cells(pair: PoleInterval) -> tuple[str, str]:
+        def text(value: float, deviation: float | None, digits: int) -> str:
+            if deviation is None:
+                return f"{value:.4g}"
+            digits = max(digits, 1 - math.floor(math.log10(deviation))) if deviation > 0 else digits
+            return f"{value:.{digits}f} ± {NORMAL_95 * deviation:.{digits}f}"
+
+        damping = pair.damping_ratio_deviation
+        return (
+            text(pair.frequency, pair.frequency_deviation, 3),
+            text(100 * pair.damping_ratio, None if damping is None else 100 * damping, 3),
+        )
+
+    tests = {"table test": intervals.table, "command test": intervals.command, "both tests": intervals.common}
+    rows = [(f"{name} {i}", *cells(pair)) for name, pairs in tests.items() for i, pair in enumerate(pairs, 1)]
+    return Table(f"Poles with 95 % intervals: {step}", ("", "frequency [rad/s]", "damping ratio [%]"), tuple(rows))
+
+
+def _pole_table(test: str, poles: Poles, is_papers: bool) -> Table:
+    """Poles found beside the plant's own and, where the rig is the paper's, the paper's."""
+    paper = [Pole(frequency=abs(p), damping_ratio=-p.real / abs(p)) for p in PAPER_POLES[test]] if is_papers else []
     missed = [true for true in poles.true if nearest_pole(poles.identified, true.frequency) is None]
 
     def row(pole: Pole) -> list[str]:
@@ -91,13 +178,14 @@ def _pole_table(test: str, poles: Poles) -> Table:
 
         def cells(quantity: Callable[[Pole], float], form: str) -> list[str]:
             error = 100 * (quantity(found) / quantity(true) - 1) if found and true else None
-            columns = [_number(quantity(p) if p else None, ".3f") for p in (found, true, papers)]
+            beside = (found, true, papers) if is_papers else (found, true)
+            columns = [_number(quantity(p) if p else None, ".3f") for p in beside]
             return [*columns, _number(error, form)]
 
         return cells(lambda p: p.frequency, "+.3f") + cells(lambda p: 100 * p.damping_ratio, "+.1f")
 
     matrix = {"table": "A1", "command": "A2"}[test]
-    columns = ("plant's", f"paper's {matrix}", "error %")
+    columns = ("plant's", *((f"paper's {matrix}",) if is_papers else ()), "error %")
     ordered = sorted([*poles.identified, *missed], key=lambda pole: pole.frequency)
     return Table(
         f"Poles from the {test} test",
@@ -132,7 +220,7 @@ def _ambient_table(step: str, found: AmbientResult) -> Table:
     return Table(title, header, tuple(row(mode) for mode in found.modes), notes)
 
 
-def _table_1(comparison: Comparison) -> Table:
+def _table_1(comparison: Comparison, units: Units) -> Table:
     facts = comparison.test
     given = {"measured": comparison.measured, "simulated": comparison.simulated or {}}
     columns: dict[str, Mapping[str, PeakRms]] = {
@@ -143,29 +231,30 @@ def _table_1(comparison: Comparison) -> Table:
         columns = {"paper exp.": TABLE_1_EXPERIMENT, "paper sim.": TABLE_1_SIMULATION, **columns}
         errors = {title: error_vs_paper(comparison, rows) for title, rows in given.items() if rows}
         note = "Mean absolute relative error against the paper's experiment, 18 cells: "
-        note += ", ".join(f"{title} {error or 0.0:.3f}" for title, error in errors.items())
+        note += ", ".join(f"{title} {error:.3f}" for title, error in errors.items())
         note += f", the paper's simulation {PAPER_ERROR:.3f}"
         notes = (note, FITTED)
     rows = []
     for name in comparison.measured:
         cells = [column.get(name) for column in columns.values()]
-        peaks, rms = [_cell(name, c and c.peak) for c in cells], [_cell(name, c and c.rms) for c in cells]
-        rows.append((_quantity(name), *peaks, *rms))
+        peaks = [units.cell(name, c and c.peak) for c in cells]
+        rows.append((units.quantity(name), *peaks, *(units.cell(name, c and c.rms) for c in cells)))
     header = ("", *(f"peak: {name}" if i == 0 else name for i, name in enumerate(columns)))
     header += tuple(f"rms: {name}" if i == 0 else name for i, name in enumerate(columns))
-    return Table(f"Table 1: {facts.controller}, {_motion(facts)}", header, tuple(rows), notes)
+    title = "Table 1" if comparison.is_the_papers else "Peak and rms"
+    return Table(f"{title}: {facts.controller or 'zero command'}, {_motion(facts)}", header, tuple(rows), notes)
 
 
-def _reduction_table(comparison: Comparison, uncontrolled: Mapping[str, Cells]) -> Table:
+def _reduction_table(comparison: Comparison, uncontrolled: Mapping[str, Cells], units: Units) -> Table:
     rows = []
     for name, controlled in comparison.measured.items():
-        row = [_quantity(name)]
+        row = [units.quantity(name)]
         for before, after in (
             (uncontrolled[name].peak, controlled.peak),
             (uncontrolled[name].rms, controlled.rms),
         ):
             reduction = _number(100 * (1 - after / before) if before else None, ".1f")
-            row += [_cell(name, before), _cell(name, after), reduction]
+            row += [units.cell(name, before), units.cell(name, after), reduction]
         rows.append(tuple(row))
     return Table(
         f"Without and with {comparison.test.controller}: {_motion(comparison.test)}",
@@ -190,7 +279,7 @@ def _agreement_table(comparison: Comparison) -> Table:
     return Table("Simulated by the identified models against measured", header, tuple(rows), tuple(notes))
 
 
-def _controller_tables(comparisons: Mapping[str, Comparison]) -> list[Table]:
+def _controller_tables(comparisons: Mapping[str, Comparison], units: Units) -> list[Table]:
     """For each motion under which several controllers ran: measured peak and rms, and their reductions."""
     motions: dict[str, list[Comparison]] = {}
     for comparison in comparisons.values():
@@ -206,7 +295,8 @@ def _controller_tables(comparisons: Mapping[str, Comparison]) -> list[Table]:
             for row, before in without.items():
                 cells = [getattr(one.measured[row], key) for one in several]
                 start = getattr(before, key)
-                measured.append((_quantity(row), _cell(row, start), *(_cell(row, cell) for cell in cells)))
+                shown = (units.cell(row, cell) for cell in (start, *cells))
+                measured.append((units.quantity(row), *shown))
                 less = [_number(100 * (1 - cell / start) if start else None, ".1f") for cell in cells]
                 reductions.append((row, *less))
             found.append(Table(f"All controllers, {motion}: {key}", ("", "without", *names), tuple(measured)))
@@ -257,7 +347,8 @@ def _clipped_rows(comparisons: Mapping[str, Comparison]) -> tuple[tuple[str, str
     )
 
 
-def _timing_table(timing: Timing) -> Table:
+def timing_table(timing: Timing) -> Table:
+    """How long each step took, how fast each test went, and what was lost, from the campaign's `timing`."""
     summary = timing_summary(timing)
     speeds = summary["samples_per_second_of_test"]
 
@@ -285,14 +376,6 @@ def _timing_table(timing: Timing) -> Table:
 
 def _motion(facts: Facts) -> str:
     return facts.record + (f" at {facts.peak_acceleration / 9.80665:.3g} g" if facts.peak_acceleration else "")
-
-
-def _quantity(name: str) -> str:
-    return f"{name} [{paper_unit(name)[1]}]"
-
-
-def _cell(name: str, value: float | None) -> str:
-    return _number(value, {"cm": ".3f", "g": ".4f", "kgf": ".1f"}[paper_unit(name)[1]])
 
 
 def _number(value: float | None, form: str) -> str:

@@ -1,23 +1,38 @@
-"""The report of a campaign: summary.json, report.md and the tables that the campaign prints.
+"""The report of a campaign: report.html, report.md, summary.json and the tables that the campaign prints.
 
-Made from poles.json, comparison.json and timing.json in the directory of the results (`abrace.report.results`).
+Made from the files in the directory of the results (`abrace.report.results`) and the bags of the tests.
 """
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from abrace.report.content import Report
+from abrace.report.page import page
+from abrace.report.recorded import recorded_tests
 from abrace.report.results import read_results
+from abrace.report.sections import markdown
 from abrace.report.summary import summarise
 from abrace.report.tables import tables
+from abrace.report.units import Units
 from abrace_core.files import write_text
+from abrace_core.response import PAPER_RIG, UnitSystem, unit_system
+
+if TYPE_CHECKING:
+    from abrace.report.results import Results
 
 
-def make_report(directory: Path | str) -> str:
-    """Write summary.json and report.md into the directory of a campaign's results, and return the tables as text.
+def make_report(directory: Path | str, system: UnitSystem | None = None) -> str:
+    """Write report.html, report.md and summary.json into the directory of a campaign; returns the tables as text.
 
-    Figures (PNG, SVG) below the directory are shown in report.md.
+    Parameters
+    ----------
+    directory
+        Of the results. Figures (PNG, SVG) below it are in the report.
+    system
+        Units; None: the paper's if every test was made with its rig, else SI units.
 
     Raises
     ------
@@ -26,10 +41,19 @@ def make_report(directory: Path | str) -> str:
     """
     directory = Path(directory)
     results = read_results(directory)
-    contents = tables(results)
-    found = sorted(path.relative_to(directory) for path in directory.rglob("*") if path.suffix in {".png", ".svg"})
-    figures = [f"![{path.stem.replace('_', ' ')}]({path.as_posix().replace(' ', '%20')})" for path in found]
-    sections = [f"# {directory.resolve().name}", *(table.markdown() for table in contents)]
-    write_text(directory / "summary.json", json.dumps(summarise(results), indent=1) + "\n")
-    write_text(directory / "report.md", "\n\n".join([*sections, *(["## Figures", *figures] if figures else [])]) + "\n")
-    return "\n\n".join(table.text() for table in contents)
+    tests = recorded_tests(directory, (step.name for step in results.timing.steps))
+    rigs = results.rigs | {str(test.facts["rig"]) for test in tests if "rig" in test.facts}
+    units = Units(system or unit_system(PAPER_RIG if rigs == {PAPER_RIG} else ""))
+    title, sections = directory.resolve().name, Report(directory, results, tests, units).sections()
+    write_text(directory / "summary.json", json.dumps(summarise(results, units), indent=1) + "\n")
+    write_text(directory / "report.md", markdown(title, sections, directory))
+    write_text(directory / "report.html", page(title, _subtitle(results, rigs), sections))
+    return "\n\n".join(table.text() for table in tables(results, units))
+
+
+def _subtitle(results: Results, rigs: set[str]) -> str:
+    told = [f"Rig {', '.join(sorted(rigs))}"] if rigs else []
+    if results.origin is not None:
+        told.append(f"begun {results.origin.begun}, abrace {results.origin.versions.get('abrace', '')}")
+    told += [f"{step}: {one.verdict}" for step, one in results.validity.items()]
+    return "; ".join(told)

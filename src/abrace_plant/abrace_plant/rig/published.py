@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-RIG = "ncree_three_storey"
+from abrace_core.response import PAPER_RIG
+
+RIG = PAPER_RIG
 """Name of the rig file that describes it."""
 
 BARE = ((6.673, 0.0081), (21.783, 0.0025), (37.506, 0.0034))

@@ -54,6 +54,7 @@ class Validate(AbraceNode):
                 "record": test.facts.get("record", ""),
                 "peak_acceleration": float(test.facts.get("peak_acceleration", 0.0)),
                 "controller": test.facts.get("controller", ""),
+                "rig": test.facts.get("rig", ""),
             },
             "measured": _table(peak_rms(test)),
             "simulated": None,

@@ -1,0 +1,42 @@
+"""Where a campaign's results come from: its file, its command, the versions that made them; origin.json."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import shlex
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+from abrace_core.files import write_text
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PACKAGES = ("abrace", "numpy", "scipy", "numba", "matplotlib", "pydantic", "mcap")
+"""Those whose versions are noted."""
+
+
+def write_origin(results: Path, campaign_file: Path) -> None:
+    """Write origin.json into the folder of `results` that the `campaign_file` is about to be run for."""
+    content = campaign_file.read_bytes()
+    middleware = os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    origin = {
+        "command": f"abrace campaign {shlex.quote(str(campaign_file))}",
+        "begun": datetime.now(UTC).isoformat(timespec="seconds"),
+        "campaign_file": {
+            "path": str(campaign_file),
+            "sha256": hashlib.sha256(content).hexdigest(),
+            "text": content.decode(),
+        },
+        "versions": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in PACKAGES},
+            "middleware": middleware,
+            "system": platform.platform(),
+        },
+    }
+    write_text(results / "origin.json", json.dumps(origin, indent=1))

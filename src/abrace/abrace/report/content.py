@@ -1,0 +1,239 @@
+"""The sections of a campaign's report, from its results and its bags."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace.report.recorded import RecordedTest, checksum, rig_of
+from abrace.report.recorded_figures import motion_figure, response_figure
+from abrace.report.sections import Listing, Part, Picture, Section, pictures
+from abrace.report.table import Table
+from abrace.report.tables import (
+    clipped_tables,
+    identification_tables,
+    interval_tables,
+    margin_table,
+    one_comparison,
+    tables_of_all,
+    timing_table,
+)
+from abrace_core import signals
+from abrace_core.drawing import captioned, save_figure
+from abrace_core.response import PAPER_RIG, clipped_sentences, paper_unit, peak_rms
+from abrace_plant.rig.characteristics import characterize
+from abrace_plant.rig.characteristics_figure import characteristics_figure
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from abrace.report.results import Results
+    from abrace.report.units import Units
+    from abrace_core.run import Run
+    from abrace_plant.rig.model import Rig
+
+FIGURES = "figures"
+"""Folder of the figures that the report itself makes."""
+FIRST = ("validity", "figure_*", "poles", "confidence", "residuals", "*")
+"""Order of an identification's figures."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """A campaign's report.
+
+    Parameters
+    ----------
+    directory
+        Of the results.
+    results
+        Those that were read from there.
+    tests
+        Recorded.
+    units
+        In which numbers are shown.
+    """
+
+    directory: Path
+    results: Results
+    tests: list[RecordedTest]
+    units: Units
+
+    @cached_property
+    def rig(self) -> Rig | None:
+        """The rig of the tests, as its file in their bags has it."""
+        return rig_of(self.tests)
+
+    def sections(self) -> list[Section]:
+        """All that the report says; figures of rig and tests are drawn and saved."""
+        found = [
+            Section("The rig", tuple(self._rig())),
+            Section("Tests", tuple(self._tests())),
+            Section("Records and spectra", tuple(self._motions())),
+            Section("What was recorded", tuple(self._responses())),
+            Section("Identification", tuple(self._identification())),
+            Section("Controllers", tuple(self._controllers())),
+            Section("Comparisons", tuple(self._comparisons())),
+            Section("Clipped, lost, late", tuple(self._trouble())),
+            Section("Timing", (timing_table(self.results.timing),)),
+            Section("More figures", ()),
+            Section("How to make it again", tuple(self._again())),
+        ]
+        shown = {part.path for section in found for part in section.parts if isinstance(part, Picture)}
+        rest = [one for one in pictures(self.directory) if one.path not in shown]
+        found = [Section(one.title, tuple(rest)) if one.title == "More figures" else one for one in found]
+        return [section for section in found if section.parts]
+
+    def _rig(self) -> Iterator[Part]:
+        rig = self.rig
+        if rig is None:
+            return
+        characteristics = characterize(rig)
+        yield Table("", ("", "value"), tuple(_rig_rows(rig)))
+        pairs = [("bare frame", characteristics.bare), ("zero command", characteristics.zero_command)]
+        pairs.append(("further pair", characteristics.extra))
+        rows = tuple(
+            (f"{name} {i}", f"{frequency:.4g}", f"{frequency / (2 * np.pi):.4g}", f"{100 * ratio:.3g}")
+            for name, several in pairs
+            for i, (frequency, ratio) in enumerate(several, 1)
+        )
+        yield Table("Poles, as the rig file has them", ("", "rad/s", "Hz", "damping %"), rows)
+        papers = " Grey: the numbers that the paper prints (Figs. 2 and 3)." if rig.name == PAPER_RIG else ""
+        caption = (
+            f"Rig {rig.name}, computed from its file: an actuator on the bench and in the building, "
+            f"poles, and the first mode.{papers}"
+        )
+        yield self._saved("rig", captioned(characteristics_figure(rig, characteristics), caption))
+
+    def _tests(self) -> Iterator[Part]:
+        readable = [(test, test.run) for test in self.tests if test.run is not None]
+        if readable:
+            names = _worth_a_column(readable[0][1])
+            rows = tuple(self._test_row(test, run, names) for test, run in readable)
+            peaks = tuple(f"peak {self.units.quantity(name)}" for name in names)
+            yield Table("", ("test", "table and commands", "controller", "s", *peaks), rows)
+        yield from (f"{test.step}: not read: {test.missing}" for test in self.tests if test.run is None)
+
+    def _test_row(self, test: RecordedTest, run: Run, names: list[str]) -> tuple[str, ...]:
+        found = {name: row.peak for name, row in peak_rms(run).items()}
+        found[signals.GROUND] = float(np.abs(run.ground_acceleration).max())
+        cells = (self.units.cell(name, paper_unit(name)[0] * found[name] if name in found else None) for name in names)
+        duration = len(run.sequence) * run.sample_period
+        return (test.step, test.drive, str(test.facts.get("controller") or "-"), f"{duration:g}", *cells)
+
+    def _motions(self) -> Iterator[Part]:
+        drawn = []
+        for test in self.tests:
+            if test.run is not None and test.motion and test.motion not in drawn:
+                drawn.append(test.motion)
+                yield self._saved(f"{test.step}_motion", motion_figure(test, test.run, self.units))
+
+    def _responses(self) -> Iterator[Part]:
+        for test in self.tests:
+            if test.run is not None:
+                yield self._saved(test.step, response_figure(test, test.run, self.units))
+
+    def _identification(self) -> Iterator[Part]:
+        yield from identification_tables(self.results)
+        yield from interval_tables(self.results)
+        for step in dict.fromkeys([*self.results.validity, *self.results.intervals, *self.results.ambient]):
+            yield from pictures(self.directory / step, FIRST)
+
+    def _controllers(self) -> Iterator[Part]:
+        if self.results.proofs:
+            yield margin_table(self.results.proofs)
+        for step in self.results.proofs:
+            yield from pictures(self.directory / step)
+
+    def _comparisons(self) -> Iterator[Part]:
+        yield from tables_of_all(self.results, self.units)
+        for step, comparison in self.results.comparisons.items():
+            yield from one_comparison(comparison, self.units)
+            yield from pictures(self.directory / step)
+
+    def _trouble(self) -> Iterator[Part]:
+        yield from clipped_tables(self.results)
+        rows = [
+            (
+                test.step,
+                "; ".join(clipped_sentences(test.run.clipped_samples)) or "none",
+                str(test.lost),
+                _warnings(test),
+            )
+            for test in self.tests
+            if test.run is not None
+        ]
+        if rows:
+            yield Table(
+                "", ("test", "at the end of a sensor's range", "samples lost", "warnings of the bag"), tuple(rows)
+            )
+
+    def _again(self) -> Iterator[Part]:
+        origin = self.results.origin
+        if origin is not None:
+            yield f"The campaign, begun {origin.begun}:"
+            yield Listing(origin.command)
+        folder = self.directory / "nodes"
+        commands = [
+            f"abrace run {package} {node} --ros-args --params-file {path}"
+            for step in self.results.timing.steps
+            for package, node in OFFLINE
+            if (path := folder / f"{step.name}_{node}.yaml").exists()
+        ]
+        if commands:
+            yield "Its offline steps, again from the same bags:"
+            yield Listing("\n".join(commands))
+        files = [*self.directory.glob("*/*.json"), *self.directory.glob("*/*.yaml"), self.directory / "poles.json"]
+        results = [path for path in sorted(files) if path.parent.name != "nodes" and path.exists()]
+        results = [path for path in results if not path.name.endswith(".plotly.json")]
+        rows = [(str(test.bag), checksum(test.bag)) for test in self.tests if test.run is not None]
+        rows += [(path.relative_to(self.directory).as_posix(), checksum(path)) for path in results]
+        yield Table("Checksums", ("bag or file", "SHA-256"), tuple(rows), (BAG_CHECKSUM,))
+        if origin is not None:
+            yield Table("Versions", ("", "version"), tuple(origin.versions.items()))
+            yield f"The campaign file {origin.campaign_file.path} (SHA-256 {origin.campaign_file.sha256}):"
+            yield Listing(origin.campaign_file.text.rstrip())
+
+    def _saved(self, name: str, figure: object) -> Picture:
+        path = self.directory / FIGURES / f"{name}.png"
+        save_figure(figure, path)  # type: ignore[arg-type]
+        return Picture(path)
+
+
+OFFLINE = (
+    ("abrace_sysid", "identify"),
+    ("abrace_lqg", "design"),
+    ("abrace_sysid", "validate"),
+    ("abrace_sysid", "ambient"),
+)
+"""Nodes of the steps between the tests."""
+BAG_CHECKSUM = "Of a bag: the SHA-256 of those of its files, in order of their names."
+
+
+def _rig_rows(rig: Rig) -> Iterator[tuple[str, str]]:
+    yield "name", rig.name
+    yield "floors", str(rig.floors)
+    yield "storey height [m]", f"{rig.storey_height:g}"
+    yield "masses [kg]", ", ".join(f"{mass:.5g}" for mass in rig.building.masses)
+    for number, group in enumerate(rig.braces, 1):
+        actuator = group.actuator
+        text = f"{group.count} below floor {group.floor}, capacity {actuator.capacity / 1000:.4g} kN each"
+        yield f"brace group {number}", text
+    yield "sample rate [Hz]", f"{rig.sample_rate:g}"
+    table = rig.table
+    limits = (f"{table.peak_acceleration:g} m/s²", f"{table.peak_velocity:g} m/s", f"{table.peak_displacement:g} m")
+    yield "table, at most", ", ".join(limits)
+
+
+def _worth_a_column(run: Run) -> list[str]:
+    top = run.floors
+    forces = [signals.numbered("f", run.groups)[0], run.command_names[0]] if run.groups else []
+    return [signals.GROUND, f"x{top}", f"a{top}", *forces]
+
+
+def _warnings(test: RecordedTest) -> str:
+    return "; ".join(test.facts.get("warnings", [])) or "none"

@@ -1,0 +1,136 @@
+"""The tests of a campaign as their bags have them: what the report shows of each, whether it was compared or not."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from abrace_bags import read_runs
+from abrace_core.errors import AbraceError
+from abrace_plant.rig.file import load_rig
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from abrace_core.run import Run
+    from abrace_plant.rig.model import Rig
+
+
+@dataclass(frozen=True)
+class RecordedTest:
+    """A test of a campaign.
+
+    Parameters
+    ----------
+    step
+        Its name.
+    bag
+        Where it was recorded.
+    run
+        What the bag has; None: it cannot be read.
+    missing
+        Why the run is None.
+    """
+
+    step: str
+    bag: Path
+    run: Run | None
+    missing: str = ""
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Of the bag."""
+        return self.run.facts if self.run else {}
+
+    @property
+    def lost(self) -> int:
+        """Samples between the first and the last that are not in the bag."""
+        if self.run is None:
+            return 0
+        return int(self.run.sequence[-1] - self.run.sequence[0]) + 1 - len(self.run.sequence)
+
+    @property
+    def motion(self) -> dict[str, Any]:
+        """What moved the table, as the campaign file has it; empty: nothing did."""
+        return _given(self.facts, "ground_motion")
+
+    @property
+    def excitation(self) -> dict[str, Any]:
+        """What drove the braces, likewise."""
+        return _given(self.facts, "excitation")
+
+    @property
+    def drive(self) -> str:
+        """What drove the test, for a table.
+
+        A record with its peak, noise with its rms and band.
+        """
+        parts = []
+        if self.motion:
+            peak = self.motion.get("peak_acceleration")
+            parts.append(
+                str(self.motion.get("record", ""))
+                + (f" at {peak / 9.80665:.3g} g" if peak else _noise(self.motion, "m/s²"))
+            )
+        if self.excitation:
+            parts.append(f"commands: {self.excitation.get('signal', 'white_noise')}{_noise(self.excitation, 'N')}")
+        return ", ".join(parts) or "none"
+
+
+def _given(facts: dict[str, Any], key: str) -> dict[str, Any]:
+    try:
+        found = json.loads(facts.get(key, "{}"))
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _noise(given: dict[str, Any], unit: str) -> str:
+    if "rms" not in given or "band" not in given:
+        return ""
+    low, high = given["band"]
+    return f", rms {given['rms']:g} {unit}, {low:g} to {high:g} Hz"
+
+
+def recorded_tests(directory: Path, steps: Iterable[str]) -> list[RecordedTest]:
+    """The tests among the `steps` of which the results in a campaign's `directory` are."""
+    folder = directory / "nodes"
+    return [_test(directory, step, path) for step in steps if (path := folder / f"{step}_logger.yaml").exists()]
+
+
+def _test(directory: Path, step: str, parameters: Path) -> RecordedTest:
+    content = yaml.safe_load(parameters.read_text(encoding="utf-8"))
+    bag = Path(content["/**"]["ros__parameters"]["output"])
+    if not bag.is_absolute() and not bag.exists():
+        # the report is made elsewhere than the campaign was run: results/NAME stands beside bags
+        bag = directory.resolve().parent.parent / bag
+    try:
+        return RecordedTest(step, bag, read_runs(bag)[0])
+    except AbraceError as error:
+        return RecordedTest(step, bag, None, str(error))
+
+
+def rig_of(tests: list[RecordedTest]) -> Rig | None:
+    """The rig of the first of the `tests` whose bag has its rig file; None: no bag has one."""
+    text = next((test.facts["rig_file"] for test in tests if "rig_file" in test.facts), None)
+    if text is None:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.yaml"
+        path.write_text(text, encoding="utf-8")
+        return load_rig(path)
+
+
+def checksum(path: Path) -> str:
+    """SHA-256 of a file, or of the files of a bag in order of their names."""
+    digest = hashlib.sha256()
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        with file.open("rb") as content:
+            digest.update(hashlib.file_digest(content, "sha256").digest())
+    return digest.hexdigest()

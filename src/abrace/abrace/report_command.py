@@ -1,0 +1,39 @@
+"""`abrace report`: the report of a campaign, or two campaigns side by side."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+EXAMPLES = """examples:
+  abrace report results/demo                              report.html, report.md, summary.json and figures, made anew
+  abrace report results/demo --units SI                   in mm, m/s² and kN
+  abrace report results/tuesday --against results/monday  two campaigns side by side: against_monday.html"""
+
+
+def add_report_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `report` to the command's `commands`."""
+    report = commands.add_parser(
+        "report",
+        help="a campaign's report.html, report.md, figures and summary.json, from its results and bags",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    report.add_argument("directory", type=Path, help="such as results/demo")
+    report.add_argument(
+        "--units", choices=("paper", "SI"), help="cm, g and kgf, or mm, m/s² and kN; else the paper's for its rig alone"
+    )
+    report.add_argument(
+        "--against", type=Path, metavar="OTHER", help="results of another campaign, to be set beside these"
+    )
+
+
+def report_command(given: argparse.Namespace) -> None:
+    """Carry out `abrace report` with the arguments `given`."""
+    from abrace.report.against import compare_campaigns
+    from abrace.report.writer import make_report
+
+    if given.against is None:
+        print(make_report(given.directory, given.units))
+    else:
+        print(compare_campaigns(given.directory, given.against, given.units))
