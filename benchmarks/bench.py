@@ -10,6 +10,8 @@ controller, loop, lqr_agreement  a step of LQG3, its answer over DDS and the ech
 explore        1000 closed loops of 50 000 steps, designs and margins included, on all cores
 reading        the responses of that run's bag to arrays, against `rosbags`
 bags           1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`
+report         report.html of the demo: `abrace report` as a process of its own, the page's size, and a headless Chromium from
+               its start to its end with all figures drawn
 identification from bags of 600 s to the model, against `rosbags`, `mcap-ros2-support` and scikit-rf's VectorFitting
 """
 
@@ -31,6 +33,7 @@ from controller_speed import controller_speed, lqg3
 from exploration_speed import exploration_speed
 from identification_speed import cost_table, identification_speed
 from isolation import isolated
+from report_speed import report_rows, report_speed
 from rosbags.highlevel import AnyReader
 from simulation import simulation_speed
 
@@ -201,6 +204,7 @@ def main() -> None:
         (bag,) = Path("bags/bench").glob("*/closed_loop")
         found["reading"] = reading(bag)
         found |= controller_speed()
+        found["report"] = report_speed()
     write_text("results/bench.json", json.dumps(found, indent=1) + "\n")
     loop, bags, step = found["lockstep"], found["reading"], found["plant_step_us"]
     trip = 1e6 / loop["echo_per_second"]
@@ -226,6 +230,7 @@ def main() -> None:
         *bag_rows(found["bags"]),
         *identification_rows(found["identification"]),
         *controller_rows(found),
+        *report_rows(found["report"]),
     )
     print(Table("Speed", ("claim", "reached", "asked", "peer", "ratio"), rows).text())
     print("\n" + cost_table(found["identification"]).text())

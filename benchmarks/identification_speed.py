@@ -41,7 +41,7 @@ from laboratory import Laboratory
 from simulation import ONE_THREAD, SOURCE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     import numpy as np
     from numpy.typing import NDArray
@@ -85,15 +85,15 @@ def best_of(repeats: int, run: Callable[[], object], warm: bool = True) -> float
     return min(times)
 
 
-def write_bag(bag: Path, run: Run, rig: str) -> None:
-    """The test as the logger would have written it."""
+def write_bag(bag: Path, run: Run, rig: str, more: Mapping[str, str] | None = None) -> None:
+    """The test as the logger would have written it, with `more` facts."""
     from abrace_bags import BagWriter, message_definition
     from abrace_core.safety.rig_safety import State
     from abrace_core.wire import Head, Responses
 
     floors, groups = run.floors, run.groups
     definition, responses = message_definition("abrace_interfaces/msg/Response"), Responses()
-    facts = {"sample_period": str(run.sample_period), "rig": rig}
+    facts = {"sample_period": str(run.sample_period), "rig": rig, **(more or {})}
     period = round(1e9 * run.sample_period)
     samples = zip(run.outputs.tolist(), run.command.tolist(), run.ground_acceleration.tolist(), strict=True)
     with BagWriter(bag, facts) as writer:

@@ -198,6 +198,38 @@ def test_another_test_is_not_set_beside_table_1(tmp_path, key, value):
     assert row(text, "Peak and rms", "x1 [cm]") == ["x1 [cm]", "1.214", "1.339", "0.175", "0.166"]
 
 
+def test_numbers_of_another_rig_are_in_si_units_without_the_papers(tmp_path):
+    results = example()
+    results["poles.json"]["rig"] = results["check/comparison.json"]["test"]["rig"] = "five_storey"
+    text, summary = reported(tmp_path, results)
+    assert "paper" not in text
+    assert row(text, "Peak and rms: lqg3, el_centro at 0.1 g", "x1 [mm]") == [
+        "x1 [mm]",
+        "12.14",
+        "13.39",
+        "1.75",
+        "1.66",
+    ]
+    assert row(text, "Poles from the table test", "1")[:4] == ["1", "7.283", "7.276", "+0.100"]
+    assert summary["units"] == {name: unit for name, unit in summary["units"].items() if unit in ("mm", "m/s²", "kN")}
+    assert summary["table1"]["measured"]["f"]["peak"] == pytest.approx(1.1 * 1556.0 * 9.80665e-3)
+    assert "x1 [cm]" in make_report(tmp_path, "paper"), "as asked for"
+
+
+def test_a_comparison_without_a_model_has_its_reductions(tmp_path):
+    results = example()
+    comparison = results["check/comparison.json"]
+    comparison["simulated"] = None
+    for key in ("simulated_vs_measured", "peak_rms_error", "other_models"):
+        del comparison[key]
+    comparison["test"]["controller"] = "skyhook"
+    text, summary = reported(tmp_path, results)
+    assert row(text, "Peak and rms: skyhook", "x1 [cm]") == ["x1 [cm]", "1.214", "0.175"]
+    assert row(text, "Without and with skyhook", "a3 [g]")[3] == "75.0"
+    assert "Simulated" not in text
+    assert summary["table1"]["simulated"] is None
+
+
 def test_a_pole_that_was_missed_or_made_up_shows(tmp_path):
     results = example()
     table = results["poles.json"]["table"]

@@ -1,0 +1,47 @@
+"""The report of the demo: how long `abrace report` takes, how large its page is, how long a browser takes to draw it."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+from browser import CHROMIUM, open_page
+
+from abrace.campaign.runner import run_campaign
+from abrace_core.node import find_file
+
+DEMO = Path("results/demo")
+WHOLE = ("origin.json", "timing.json", "comparison/comparison.json")
+"""Files of a demo that was carried out."""
+
+
+def report_speed() -> dict[str, Any]:
+    """Seconds and megabytes of the demo's report, which is run where it has not been yet; seconds to draw it."""
+    if not all((DEMO / name).exists() for name in WHOLE):
+        run_campaign(find_file("demo", "abrace", "campaigns", ".yaml", "campaign"))
+    begin = time.perf_counter()
+    subprocess.run(["abrace", "report", DEMO], check=True, capture_output=True)
+    seconds = time.perf_counter() - begin
+    page = DEMO / "report.html"
+    found: dict[str, Any] = {"seconds": seconds, "megabytes": page.stat().st_size / 1e6, "browser_seconds": None}
+    if CHROMIUM is not None:
+        begin = time.perf_counter()
+        opened = open_page(page)
+        found |= {"browser_seconds": time.perf_counter() - begin, "figures": len(opened.drawn)}
+        assert not opened.console, opened.console
+        assert all(opened.drawn.values()), opened.drawn
+    return found
+
+
+def report_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the table of speeds, from what `report_speed` has `found`."""
+    rows = [
+        ("report of the demo, s", f"{found['seconds']:.1f}", "10", "-", "-"),
+        ("its page, MB", f"{found['megabytes']:.1f}", "5", "-", "-"),
+    ]
+    if found["browser_seconds"] is not None:
+        title = f"a browser's start, {found['figures']} figures and end, s"
+        rows.append((title, f"{found['browser_seconds']:.1f}", "3", "-", "-"))
+    return rows
