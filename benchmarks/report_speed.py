@@ -1,4 +1,4 @@
-"""The report of the demo: how long `abrace report` takes, how large its page is, how long a browser takes to draw it."""
+"""The report of the demo: how long `abrace report` takes, how large its page is, how soon a browser has drawn it."""
 
 from __future__ import annotations
 

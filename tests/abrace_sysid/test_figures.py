@@ -1,9 +1,12 @@
 import numpy as np
 import pytest
 
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
+from abrace_core.drawing import ERROR, MEASURED, REFERENCE, SIMULATED, last_motion
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import pole_table
 from abrace_sysid.figures import identification as figures
+from abrace_sysid.figures.identification import FAINT
+from abrace_sysid.figures.poles import confidence, pole_chart
 from abrace_sysid.figures.validation import control_effect, time_histories
 from abrace_sysid.validation import compare
 
@@ -20,30 +23,43 @@ def colours(axis):
 def test_transfer_functions_show_measured_and_fitted_with_units(identified):
     figure = figures.transfer_functions(identified.command_response, ["x3", "a1"], identified.model)
     amplitude, phase = figure.axes[0], figure.axes[2]
-    expected = {"measured": MEASURED, "fitted": SIMULATED}
-    assert colours(amplitude) == expected | {"standard deviation": REFERENCE}
+    expected = {"measured": MEASURED, "fitted": SIMULATED, "fitted less measured, rms": ERROR}
+    assert colours(amplitude) == expected | {"measured, noise": FAINT, "standard deviation": REFERENCE}
+    assert colours(figure.axes[1]) == expected | {"standard deviation": REFERENCE}, "the acceleration is no noise"
     assert amplitude.get_ylabel() == "amplitude [m / N]"
     assert figure.axes[1].get_ylabel() == "amplitude [m/s² / N]"
     assert phase.get_xlabel() == "frequency [Hz]"
     assert phase.get_ylabel() == "phase angle [deg]"
-    assert amplitude.lines[0].get_xdata()[-1] == pytest.approx(30, abs=0.01)
+    lines = {line.get_label(): line.get_xdata() for line in amplitude.lines}
+    assert lines["fitted"][-1] == pytest.approx(30, abs=0.01)
+    assert len(lines["measured"]) + len(lines["measured, noise"]) == len(identified.command_response.omega)
+    assert np.median(lines["measured, noise"]) > np.median(lines["measured"]), "the displacement fades out"
+    assert phase.lines[0].get_xdata().tolist() == lines["measured"].tolist(), "noise has no phase"
+    assert identified.command_response.method in figure.get_label()
     table = figures.transfer_functions(identified.table_response, ["x3"], identified.model)
     assert table.axes[0].get_ylabel() == "amplitude [m / (m/s²)]"
 
 
 def test_the_fitted_curve_is_drawn_as_the_rig_was_sampled(identified, rig):
     figure = figures.transfer_functions(identified.command_response, ["f"], rig.model)
-    measured, fitted = (line.get_ydata() for line in figure.axes[1].lines)
-    high = identified.command_response.omega > 2 * np.pi * 20
-    assert np.nanmedian(np.abs(measured - fitted)[high]) < 0.5, "phases in degrees, hold included in both"
+    measured, fitted = figure.axes[1].lines
+    high = measured.get_xdata() > 20
+    of_fitted = np.interp(measured.get_xdata(), fitted.get_xdata(), fitted.get_ydata())
+    left_over = np.abs(measured.get_ydata() - of_fitted)[high]
+    assert np.nanmedian(left_over) < 0.5, "phases in degrees, hold included in both"
 
 
-def test_time_histories_are_in_the_paper_s_units_and_colours(comparison):
-    figure = time_histories(comparison, zoom=(5, 8))
-    whole, zoomed = figure.axes[0], figure.axes[1]
+def test_time_histories_have_their_error_below_and_are_in_the_units_asked_for(comparison):
+    figure = time_histories(comparison, zoom=(5, 8), tested="el_centro at 0.1 g, lqg3")
+    whole, zoomed, error = figure.axes[:3]
     assert colours(whole) == {"measured": MEASURED, "simulated": SIMULATED}
+    assert colours(error) == {"simulated less measured": ERROR}
+    left_over = whole.lines[1].get_ydata() - whole.lines[0].get_ydata()
+    assert error.lines[0].get_ydata() == pytest.approx(left_over)
     assert whole.get_ylabel().endswith("[cm]")
-    assert figure.axes[2].get_ylabel().endswith("[g]")
+    assert figure.axes[4].get_ylabel().endswith("[g]")
+    assert "el_centro at 0.1 g, lqg3" in figure.get_label()
+    assert time_histories(comparison, units="SI").axes[0].get_ylabel().endswith("[mm]")
     assert zoomed.get_xlim() == (5, 8)
     assert np.abs(whole.lines[0].get_ydata()).max() == pytest.approx(100 * comparison.measured_peak_rms()["x3"].peak)
     with pytest.raises(AbraceError, match=r"no channel x9, expected any of x1"):
@@ -60,16 +76,43 @@ def test_control_effect_shows_both_runs_as_measured(laboratory, controller):
         control_effect(without, controlled, ["x9"])
 
 
-def test_pole_chart_shows_frequency_and_damping_of_each_pair(identified, rig):
-    figure = figures.pole_chart(
+def test_the_silent_end_of_a_record_is_cut():
+    time = np.arange(0.0, 100.0, 0.01)
+    assert last_motion(time, np.where(time < 40, np.sin(time), 0.001), np.zeros(10000)) == pytest.approx(40, abs=0.3)
+    assert last_motion(time, np.sin(time)) == pytest.approx(100, abs=0.3)
+
+
+def test_pole_chart_shows_how_far_each_pair_is_from_the_rigs_own(identified, rig):
+    figure = pole_chart(
         {"table": identified.poles.table, "command": identified.poles.command}, {"rig": rig.model.poles()}
     )
-    (axis,) = figure.axes
-    shown = {line.get_label(): line for line in axis.lines}
+    frequency, damping = figure.axes
+    shown = {line.get_label(): line for line in frequency.lines if not line.get_label().startswith("_")}
     assert list(shown) == ["rig", "table", "command"]
-    assert len(shown["command"].get_xdata()) == 6
-    assert shown["table"].get_ydata()[0] == pytest.approx(1.39, rel=0.03)
-    assert (axis.get_xlabel(), axis.get_ylabel()) == ("frequency [rad/s]", "damping ratio [%]")
+    assert np.isfinite(shown["command"].get_xdata()).sum() == 6
+    assert np.isfinite(shown["table"].get_xdata()).sum() == 3
+    (first, *_), (own, *_) = identified.poles.table_pairs, pole_table(rig.model.poles())
+    factor = {"%": 1e2, "ppm": 1e6}[frequency.get_xlabel().split("[")[1][:-1]]
+    assert shown["table"].get_xdata()[0] == pytest.approx(factor * (first.frequency / own[0] - 1))
+    heights = [tuple(line.get_ydata()) for line in shown.values()]
+    assert len(set(heights)) == 3, "no mark lies on another"
+    assert [axis.get_xlabel().partition(" less")[0] for axis in (frequency, damping)] == ["frequency", "damping ratio"]
+
+
+def test_intervals_of_each_pair_are_drawn_about_those_of_both_tests(identified):
+    figure = confidence({"table test": identified.poles.table_pairs, "both tests": identified.poles.common_pairs})
+    bars = figure.axes[0].containers
+    assert [len(bar.lines[0].get_xdata()) for bar in bars] == [len(identified.poles.common_pairs)] * 2
+    assert bars[1].lines[0].get_xdata() == pytest.approx(0.0)
+
+
+def test_channels_are_named_or_drawn_by_kind_with_plain_ticks(identified):
+    figure = figures.residuals([identified.table_response, identified.command_response], identified.model)
+    labels = [line.get_label() for line in figure.axes[0].lines]
+    assert labels == ["displacements", "strokes", "accelerations", "forces"]
+    ticks = [text.get_text() for axis in figure.axes for text in axis.get_yticklabels()]
+    assert not [text for text in ticks if "times" in text]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == labels
 
 
 def test_hankel_chart_tells_kept_from_cut(identified):

@@ -1,27 +1,36 @@
 """What all figures share: colours, and how they are saved.
 
 A figure is a matplotlib Figure that belongs to no window. Measured curves have one colour throughout and simulated or
-fitted ones another; a reference (another model's curve, the paper's numbers) is grey.
+fitted ones another; a reference (another model's curve, the paper's numbers) is grey, what two
+curves differ by ochre.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from abrace_core.files import write_atomically, write_text
 from abrace_core.zoomable import plotly_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
 MEASURED = "#1b3a6b"
 SIMULATED = "#d1495b"
 REFERENCE = "#8a8a8a"
+ERROR = "#d08c1d"
 RESOLUTION = 160
 """Dots per inch of saved figures."""
+QUIET = 0.03
+"""Of a curve's peak, below which a building is at rest as far as a figure shows it."""
 ZOOMABLE = ".plotly.json"
 """Suffix of the file that the report takes a figure from."""
 
@@ -34,6 +43,28 @@ def legend_above(figure: Figure, axis: Axes, columns: int) -> None:
     legend = figure.legend(*axis.get_legend_handles_labels(), loc="upper center", ncols=columns, fontsize="small")
     below = legend.get_window_extent().y0 / figure.bbox.height
     figure.set_layout_engine("constrained", rect=(0.0, 0.0, 1.0, below))
+
+
+def plain_ticks(axis: Axis, low: float, high: float) -> None:
+    """Ticks of a logarithmic `axis` from `low` to `high` as plain numbers: 1, 2 and 5 of each decade, or decades alone.
+
+    matplotlib writes "6 x 10^0" where an axis spans less than a decade.
+    """
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    parts = (1,) if len(decades) > 4 else (1, 2, 5)
+    ticks = [part * 10.0**decade for decade in decades for part in parts]
+    shown = [tick for tick in ticks if low <= tick * 1.0001 and tick <= high * 1.0001]
+    axis.set_ticks(
+        shown, [f"{tick:g}" if 1e-4 < tick < 1e5 else f"$10^{{{round(math.log10(tick))}}}$" for tick in shown]
+    )
+    axis.set_ticks([], minor=True)
+
+
+def last_motion(time: NDArray[np.float64], *curves: NDArray[np.float64]) -> float:
+    """When the last of the `curves` (samples,) over `time` [s] falls below QUIET of its peak for good."""
+    ends = [np.flatnonzero(np.abs(curve) > QUIET * np.abs(curve).max(initial=0.0)) for curve in curves]
+    last = max((int(end[-1]) for end in ends if end.size), default=len(time) - 1)
+    return float(time[min(last, len(time) - 1)])
 
 
 def captioned(figure: Figure, caption: str) -> Figure:

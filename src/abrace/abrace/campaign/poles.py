@@ -13,7 +13,7 @@ from abrace_core.files import write_text
 from abrace_core.linear_model import pole_table
 from abrace_core.response import PAPER_RIG
 from abrace_plant.rig.published import PAPER_POLES
-from abrace_sysid.figures.identification import pole_chart
+from abrace_sysid.figures.poles import pole_chart
 
 if TYPE_CHECKING:
     from pathlib import Path

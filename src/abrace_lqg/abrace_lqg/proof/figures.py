@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
+from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, captioned, legend_above, plain_ticks
 from abrace_core.linear_model import takes_models
-from abrace_core.response import paper_unit
+from abrace_core.response import shown_unit
 from abrace_lqg.loop import Loop
 
 if TYPE_CHECKING:
@@ -29,6 +29,9 @@ LOWEST_SHOWN = 0.1
 
 KINDS = (("x", "displacement, stroke"), ("a", "acceleration"), ("fU", "force, command"))
 """First letters of the quantities that share a unit, and the names of these quantities."""
+
+LEAST_SHOWN = 0.1
+"""Damping ratio [%] at which what has less is drawn."""
 
 LINE_STYLES = ("-", "--", ":", "-.")
 """Of the signals, or of the models, in turn."""
@@ -89,9 +92,14 @@ def loop_figure(
     sensitivity.set_xlabel("frequency [Hz]")
     sensitivity.legend(loc="best", ncols=3)
     for axis in (gain, sensitivity):
+        plain_ticks(axis.xaxis, *axis.get_xlim())
         axis.axhline(0, color="k", lw=0.7)
-        axis.grid(which="both", alpha=0.25)
-    return figure
+        axis.grid(alpha=0.25)
+    caption = (
+        "The loop broken at each command, as a Nichols chart with the margins and over frequency, and the sensitivity "
+        "of the loop broken at one signal; the design model in colour, the models it was checked with grey."
+    )
+    return captioned(figure, caption)
 
 
 def pole_figure(proof: Proof) -> Figure:
@@ -106,14 +114,19 @@ def pole_figure(proof: Proof) -> Figure:
     for axis, each in zip(axes.flat, proof.models, strict=False):
         _poles(axis, each)
         axis.set_title(f"{each.name}, {each.order} states" + ("" if each.stable else ": NOT STABLE"))
+    shown = [pole[0] for each in proof.models for pole in each.poles if pole[0] > 0]
+    shown += [mode.frequency for each in proof.models for mode in each.modes]
+    plain_ticks(axes[0, 0].xaxis, min(shown) / 1.3, max(shown) * 1.3)
+    plain_ticks(axes[0, 0].yaxis, LEAST_SHOWN, 100)
     for axis in axes.flat[len(proof.models) :]:
         axis.set_visible(False)
-    figure.axes[0].legend(loc="best")
-    return figure
+    legend_above(figure, axes[0, 0], 4)
+    caption = "Poles of each model with zero command and, arrows, in the closed loop."
+    return captioned(figure, caption)
 
 
 def prediction_figure(proof: Proof) -> Figure:
-    """Rms of every quantity, with zero command and controlled, in the paper's units.
+    """Rms of every quantity, with zero command and controlled.
 
     `proof` is the controller's. Drawn is the first check model with which the loop is stable, or without one the design
     model.
@@ -130,7 +143,7 @@ def prediction_figure(proof: Proof) -> Figure:
     for axis, (names, kind) in zip(
         figure.subplots(1, len(groups), squeeze=False, width_ratios=widths)[0], groups, strict=True
     ):
-        position, factor = np.arange(len(names)), paper_unit(names[0])[0]
+        position, factor = np.arange(len(names)), shown_unit(names[0], "SI")[0]
         without, controlled = np.array([shown.prediction[name] for name in names]).T * factor
         axis.bar(position - 0.2, without, 0.4, color=REFERENCE, label="zero command")
         bars = axis.bar(position + 0.2, controlled, 0.4, color=SIMULATED, label="controlled")
@@ -140,11 +153,11 @@ def prediction_figure(proof: Proof) -> Figure:
         ]
         axis.bar_label(bars, changes, fontsize=8, padding=2)
         axis.set_xticks(position, names)
-        axis.set_ylabel(f"{kind}, rms [{paper_unit(names[0])[1]}]")
+        axis.set_ylabel(f"{kind}, rms [{shown_unit(names[0], 'SI')[1]}]")
         axis.grid(axis="y", alpha=0.3)
     figure.axes[0].legend(loc="upper left")
-    figure.suptitle(f"Predicted with {shown.name}, {shown.order} states, for a {proof.excitation}", fontsize=10)
-    return figure
+    told = f"Rms predicted with {shown.name}, {shown.order} states, for a {proof.excitation}"
+    return captioned(figure, f"{told}, with zero command and controlled.")
 
 
 def _critical_point(axis: Axes, proof: Proof) -> None:
@@ -167,13 +180,13 @@ def _critical_point(axis: Axes, proof: Proof) -> None:
 
 def _poles(axis: Axes, each: ModelProof) -> None:
     axis.set_xscale("log")
-    axis.set_yscale("symlog", linthresh=0.1)
+    axis.set_yscale("log")
     for mode in each.modes:
         if mode.controlled_frequency:
             axis.annotate(
                 "",
-                (mode.controlled_frequency, 100 * mode.controlled_damping),
-                (mode.frequency, 100 * mode.damping),
+                (mode.controlled_frequency, max(100 * mode.controlled_damping, LEAST_SHOWN)),
+                (mode.frequency, max(100 * mode.damping, LEAST_SHOWN)),
                 arrowprops={"arrowstyle": "->", "color": REFERENCE, "lw": 0.8},
             )
     known = [mode for mode in each.modes if mode.modelled]
@@ -185,7 +198,11 @@ def _poles(axis: Axes, each: ModelProof) -> None:
         )
     points = np.array(each.poles).reshape(-1, 2) * [1, 100]
     axis.plot(*points.T, marker="x", ms=8, mew=1.6, color=SIMULATED, ls="none", label="closed loop")
-    axis.axhline(0, color="k", lw=0.7)
+    if (lost := points[points[:, 1] <= 0]).size:
+        axis.plot(
+            lost[:, 0], np.full(len(lost), LEAST_SHOWN), "v", color=SIMULATED, ms=9, ls="none", label="not stable"
+        )
+    axis.set_ylim(LEAST_SHOWN / 1.3, 130)
     axis.set_xlabel("frequency [rad/s]")
     axis.set_ylabel("damping ratio [%]")
     axis.grid(which="both", alpha=0.25)

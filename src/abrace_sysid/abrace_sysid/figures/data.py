@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from abrace_sysid.figures import identification as figures
+from abrace_sysid.figures.poles import confidence
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,5 +26,5 @@ def figures_of_data(found: DataIdentification) -> dict[str, Figure]:
         for response in found.responses
     }
     drawn["residuals"] = figures.residuals(found.responses, found.model)
-    drawn["confidence"] = figures.confidence({"data": found.pairs})
+    drawn["confidence"] = confidence({"data": found.pairs})
     return drawn

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
 from scipy.ndimage import uniform_filter1d
 
 from abrace_core import signals
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, legend_above
-from abrace_core.linear_model import pole_table, takes_models
-from abrace_sysid.figures.symbols import symbol
+from abrace_core.drawing import ERROR, MEASURED, REFERENCE, SIMULATED, captioned, legend_above, plain_ticks
+from abrace_core.linear_model import takes_models
+from abrace_sysid.figures.symbols import RIG, symbol
 from abrace_sysid.spectra.frequency_response import sampled_response
 
 if TYPE_CHECKING:
@@ -22,13 +21,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_core.linear_model import LinearModel
-    from abrace_sysid.fitting.pole_estimate import PoleInterval
     from abrace_sysid.fitting.stabilization import Stabilization
     from abrace_sysid.models.reduction import OrderErrors
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
-MOST_NAMED = 16
-"""Channels up to which a legend names each of them."""
+MOST_NAMED = 5
+"""Channels up to which each has a curve of its own."""
+WORDS = {"x": "displacements", "xf": "strokes", "a": "accelerations", "f": "forces"}
+"""Kinds of a rig's channels."""
+COLOURS = (MEASURED, SIMULATED, "#2a7f62", "#d08c1d")
+FAINT = "#c3cbd8"
+"""Of measured lines that are noise."""
+SEEN, NEIGHBOURS = 2.0, 15
+"""Times their standard deviation from which on so many lines are more than noise: below, phase is not drawn."""
 
 
 @takes_models
@@ -54,19 +59,23 @@ def transfer_functions(
     figure = Figure(figsize=(4.8 * len(channels), 5.6), layout="constrained")
     axes = figure.subplots(2, len(channels), sharex=True, squeeze=False)
     frequency = measured.omega / (2 * np.pi)
-    points = measured.select(channels).response
-    curves: tuple[tuple[NDArray[np.complex128], str, dict[str, Any]], ...] = (
-        (points, "measured", {"color": MEASURED, "marker": ".", "ms": 2.5, "ls": "none"}),
-        (sampled_response(fitted.select(channels), measured), "fitted", {"color": SIMULATED, "lw": 1.2}),
-    )
+    several = measured.select(channels)
+    curves = sampled_response(fitted.select(channels), measured)
+    dots: dict[str, Any] = {"marker": ".", "ms": 2.5, "ls": "none", "rasterized": True}
     for j, name in enumerate(channels):
-        amplitude, phase = axes[:, j]
-        for response, label, style in curves:
-            amplitude.semilogy(frequency, np.abs(response[:, j]), label=label, **style)
-            phase.plot(frequency, _phase(response[:, j]), **style)
-        size = np.abs(points[:, j])
+        (amplitude, phase), points, curve = axes[:, j], several.response[:, j], curves[:, j]
+        size, seen = np.abs(points), _seen(points, several.sigma[:, j])
+        if not seen.all():
+            noise = {**dots, "color": FAINT, "label": "measured, noise"}
+            amplitude.semilogy(frequency[~seen], size[~seen], **noise)
+        amplitude.semilogy(frequency[seen], size[seen], color=MEASURED, label="measured", **dots)
+        amplitude.semilogy(frequency, np.abs(curve), color=SIMULATED, lw=1.2, label="fitted")
+        phase.plot(frequency[seen], _phase(points)[seen], color=MEASURED, **dots)
+        phase.plot(frequency, _phase(curve), color=SIMULATED, lw=1.2)
+        error = np.sqrt(uniform_filter1d(np.abs(curve - points) ** 2, max(1, len(frequency) // 100)))
+        amplitude.semilogy(frequency, error, color=ERROR, lw=0.8, label="fitted less measured, rms")
         lowest = _levels(amplitude, frequency, measured.select([name]))
-        amplitude.set_ylim(min(size.min(), lowest) / 2, size.max() * 2)
+        amplitude.set_ylim(min(size.min(), np.quantile(error, 0.05), lowest) / 2, size.max() * 2)
         amplitude.set_title(f"{symbol(name)} / {symbol(measured.input)}")
         amplitude.set_ylabel(f"amplitude [{_ratio_unit(name, measured.input, units)}]")
         phase.set_ylabel("phase angle [deg]")
@@ -74,10 +83,20 @@ def transfer_functions(
         phase.set_ylim(-190, 190)
         phase.set_xlabel("frequency [Hz]")
         phase.set_xlim(0, frequency[-1])
-    axes[0, 0].legend(loc="best", markerscale=4)
+    longest = max(axes[0], key=lambda axis: len(axis.get_legend_handles_labels()[1]))
+    legend_above(figure, longest, 3 if len(channels) == 1 else 5)
     for axis in axes.flat:
         axis.grid(alpha=0.3)
-    return figure
+    named = ", ".join(symbol(name) for name in channels)
+    caption = f"Transfer functions from {symbol(measured.input)} to {named}: measured ({measured.method}) and fitted."
+    return captioned(figure, caption + " Lines within twice their standard deviation are faint and without phase.")
+
+
+def _seen(points: NDArray[np.complex128], sigma: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which lines (lines,) are more than noise: with their neighbours, SEEN times their standard deviation `sigma`."""
+    return np.asarray(
+        uniform_filter1d(np.abs(points) ** 2, NEIGHBOURS) > uniform_filter1d((SEEN * sigma) ** 2, NEIGHBOURS)
+    )
 
 
 def _levels(axis: Axes, frequency: NDArray[np.float64], one: FrequencyResponse) -> float:
@@ -95,31 +114,6 @@ def _levels(axis: Axes, frequency: NDArray[np.float64], one: FrequencyResponse) 
             axis.semilogy(frequency, smooth, color=REFERENCE, lw=1.0, ls=style, label=label)
             lowest = min(lowest, float(np.quantile(smooth[smooth > 0], 0.05)))
     return lowest
-
-
-def pole_chart(poles: Mapping[str, NDArray[np.complex128]], reference: Mapping[str, NDArray[np.complex128]]) -> Figure:
-    """Frequency and damping ratio of each oscillating pole.
-
-    Parameters
-    ----------
-    poles
-        Identified sets by name, drawn as crosses and the like.
-    reference
-        Sets to compare with by name (the paper's, the rig's own), drawn as open rings. [rad/s]
-    """
-    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
-    axis = figure.subplots()
-    for i, (label, values) in enumerate(reference.items()):
-        style = {"marker": "osD^"[i % 4], "ms": 10, "mfc": "none", "mec": (REFERENCE, "k")[i % 2], "ls": "none"}
-        axis.loglog(*_frequency_and_percent(values), label=label, **style)
-    for i, (label, values) in enumerate(poles.items()):
-        style = {"marker": "x+1*"[i % 4], "ms": 9, "mew": 1.6, "color": (SIMULATED, MEASURED)[i % 2], "ls": "none"}
-        axis.loglog(*_frequency_and_percent(values), label=label, **style)
-    axis.set_xlabel("frequency [rad/s]")
-    axis.set_ylabel("damping ratio [%]")
-    axis.grid(which="both", alpha=0.3)
-    axis.legend(loc="best")
-    return figure
 
 
 def hankel_singular_values(values: NDArray[np.float64], kept: int) -> Figure:
@@ -141,12 +135,12 @@ def hankel_singular_values(values: NDArray[np.float64], kept: int) -> Figure:
 
 
 def reduction_errors(errors: OrderErrors, kept: int, inputs: Sequence[str] = (signals.GROUND, "U")) -> Figure:
-    """Errors of the reduced model by its order: every channel's for each input, and the order `kept`.
+    """Errors of the reduced model by its order, for each input: of its channels the worst and the median.
 
     Parameters
     ----------
     errors
-        Of all orders; those below a millionth, where only rounding is left, are not shown.
+        Of all orders; those that have a stable reduced model are drawn, and no error below a millionth.
     kept
         States of the reduced model.
     inputs
@@ -154,23 +148,27 @@ def reduction_errors(errors: OrderErrors, kept: int, inputs: Sequence[str] = (si
     """
     figure = Figure(figsize=(6.4, 4.2), layout="constrained")
     axis = figure.subplots()
-    for j, (name, colour) in enumerate(zip(inputs, (MEASURED, SIMULATED) * 9, strict=False)):
-        axis.semilogy(errors.orders, 100 * errors.achieved[:, :, j], color=colour, lw=0.9)
-        axis.plot([], [], color=colour, label=f"from {symbol(name)}, each channel")
-    axis.set_ylim(bottom=max(axis.get_ylim()[0], 1e-4))
-    axis.axvline(kept, color=REFERENCE, ls="--", label=f"kept ({kept})")
+    shown = np.isfinite(errors.achieved).all(axis=(1, 2))
+    orders, percent = errors.orders[shown], 100 * np.maximum(errors.achieved[shown], 1e-6)
+    for j, (name, colour) in enumerate(zip(inputs, COLOURS * 5, strict=False)):
+        worst, median = percent[:, :, j].max(axis=1), np.median(percent[:, :, j], axis=1)
+        axis.semilogy(orders, worst, "o-", color=colour, ms=4, lw=1.4, label=f"from {symbol(name)}: worst channel")
+        axis.semilogy(orders, median, "o--", color=colour, ms=3, lw=0.9, label=f"from {symbol(name)}: median")
+    axis.axvline(kept, color=REFERENCE, ls=":", label=f"kept: {kept} states")
+    plain_ticks(axis.yaxis, *axis.get_ylim())
     axis.set_xlabel("states of the reduced model")
     axis.set_ylabel("rms error of a channel's response [%]")
-    axis.grid(which="both", alpha=0.3)
-    axis.legend(loc="best")
-    return figure
+    axis.grid(alpha=0.3)
+    axis.legend(loc="best", fontsize="small")
+    caption = "Error of the reduced model's responses by its number of states: of all outputs the worst and the median."
+    return captioned(figure, caption)
 
 
 @takes_models
 def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Figure:
     """Residuals of a model against measured transfer functions, and over their standard deviations: a column each.
 
-    Each curve is the rms over the neighbouring hundredth of the lines: single ones scatter too much to be read.
+    Each curve is the rms over the neighbouring fortieth of the lines: single ones scatter too much to be read.
 
     Parameters
     ----------
@@ -179,64 +177,51 @@ def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Fig
     fitted
         Continuous model.
     """
-    figure = Figure(figsize=(5.4 * len(measured), 6.4), layout="constrained")
+    figure = Figure(figsize=(5.4 * len(measured), 5.8), layout="constrained")
     axes = figure.subplots(2, len(measured), sharex="col", squeeze=False)
     for j, response in enumerate(measured):
         frequency = response.omega / (2 * np.pi)
         left_over = np.abs(sampled_response(fitted.select(response.outputs), response) - response.response)
         size = np.sqrt(np.mean(np.abs(response.response) ** 2, axis=0))
-        neighbours = max(1, len(frequency) // 100)
+        neighbours = max(1, len(frequency) // 40)
         for axis, relative in zip(axes[:, j], (left_over / size, left_over / response.sigma), strict=True):
             smooth = np.sqrt(uniform_filter1d(relative**2, neighbours, axis=0))
-            for name, column in zip(response.outputs, smooth.T, strict=True):
-                axis.semilogy(frequency, column, lw=1.0, label=symbol(name))
+            for (label, columns), colour in zip(_kinds(response.outputs).items(), COLOURS * 3, strict=False):
+                axis.semilogy(frequency, smooth[:, columns].max(axis=1), lw=1.0, color=colour, label=label)
         axes[0, j].set_title(f"from {symbol(response.input)}")
-        axes[1, j].axhline(1.0, color=REFERENCE, lw=0.8)
+        axes[1, j].axhline(1.0, color="k", lw=0.8, ls=":")
+        low, high = axes[1, j].get_ylim()
+        axes[1, j].set_ylim(min(low, 0.4), max(high, 2.5))
+        for axis in axes[:, j]:
+            plain_ticks(axis.yaxis, *axis.get_ylim())
         axes[1, j].set_xlabel("frequency [Hz]")
+        axes[1, j].set_xlim(0, frequency[-1])
     axes[0, 0].set_ylabel("residual over rms response [-]")
-    axes[1, 0].set_ylabel("residual over standard deviation [-]")
-    if max(len(response.outputs) for response in measured) <= MOST_NAMED:
-        legend_above(figure, axes[0, 0], 8)
+    axes[1, 0].set_ylabel("over standard deviation [-]")
+    legend_above(figure, axes[0, 0], 5)
     for axis in axes.flat:
         axis.grid(alpha=0.3)
-    return figure
+    caption = (
+        "What the model leaves of the measured transfer functions, of the channels of a kind the largest: relative to "
+        "the rms response, and to the standard deviation, where noise leaves 1. Rms over a fortieth of the band."
+    )
+    return captioned(figure, caption)
 
 
-def confidence(sets: Mapping[str, Sequence[PoleInterval]]) -> Figure:
-    """95 % confidence ellipses of frequency and damping of each pair, one axis each, about the last set's estimate.
+def _kinds(names: Sequence[str]) -> dict[str, list[int]]:
+    """Columns of the channels that share a curve: each its own where there are few, else those of a kind."""
+    if len(names) <= MOST_NAMED:
+        return {symbol(name): [i] for i, name in enumerate(names)}
+    kinds = {
+        letter: [i for i, name in enumerate(names) if RIG.match(name) and _kind(name) == letter] for letter in WORDS
+    }
+    found = {WORDS[letter]: columns for letter, columns in kinds.items() if columns}
+    other = sorted(set(range(len(names))) - {i for columns in found.values() for i in columns})
+    return found | ({"others": other} if other else {})
 
-    Frequency and damping ratio of a lightly damped pair are nearly uncorrelated: the ellipses' axes are the intervals.
 
-    Parameters
-    ----------
-    sets
-        Pairs by the test that they are from, slowest first; those of the last are the reference.
-    """
-    *_, reference = sets.values()
-    columns = min(3, len(reference))
-    figure = Figure(figsize=(4.2 * columns, 3.6 * -(-len(reference) // columns)), layout="constrained")
-    axes = figure.subplots(-(-len(reference) // columns), columns, squeeze=False)
-    radius = np.sqrt(-2 * np.log(0.05))
-    for axis, (i, centre) in zip(axes.flat, enumerate(reference), strict=False):
-        for (label, pairs), colour in zip(sets.items(), (MEASURED, SIMULATED, "k") * 3, strict=False):
-            if i >= len(pairs):
-                continue
-            pair = pairs[i]
-            x, y = 1e6 * (pair.frequency / centre.frequency - 1), 1e6 * (pair.damping / centre.damping - 1)
-            width = 2e6 * radius * pair.frequency_deviation / centre.frequency
-            height = 2e6 * radius * pair.damping_deviation / centre.damping
-            axis.plot(x, y, ".", color=colour, label=label)
-            axis.add_patch(Ellipse((x, y), width, height, fill=False, color=colour))
-        axis.autoscale_view()
-        axis.set_title(f"{centre.frequency:.3f} rad/s, {100 * centre.damping:.3f} %")
-        axis.set_xlabel("frequency [1e-6 of it]")
-        axis.set_ylabel("damping ratio [1e-6 of it]")
-        axis.locator_params(nbins=5)
-        axis.grid(alpha=0.3)
-    for axis in axes.flat[len(reference) :]:
-        axis.set_axis_off()
-    legend_above(figure, axes[0, 0], len(sets))
-    return figure
+def _kind(name: str) -> str:
+    return "xf" if name.startswith("xf") else name[0]
 
 
 def stabilization_diagram(found: Stabilization, reference: list[float] | None = None) -> Figure:
@@ -288,11 +273,6 @@ def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
     phase = np.degrees(np.angle(response))
     phase[1:][np.abs(np.diff(phase)) > 270] = np.nan
     return phase
-
-
-def _frequency_and_percent(poles: NDArray[np.complex128]) -> tuple[list[float], list[float]]:
-    pairs = pole_table(poles)
-    return [frequency for frequency, _ in pairs], [100 * ratio for _, ratio in pairs]
 
 
 def _ratio_unit(output: str, input_name: str, units: Mapping[str, str] | None) -> str:

@@ -1,4 +1,4 @@
-"""Figures of a validation: time histories in the paper's units, as in Fig. 6."""
+"""Figures of a validation: time histories, as in Fig. 6."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
+from abrace_core.drawing import ERROR, MEASURED, REFERENCE, SIMULATED, captioned, last_motion, legend_above
 from abrace_core.errors import AbraceError
-from abrace_core.response import paper_unit
+from abrace_core.response import UnitSystem, shown_unit
 from abrace_sysid.figures.symbols import symbol
 
 if TYPE_CHECKING:
@@ -21,9 +21,13 @@ if TYPE_CHECKING:
 
 
 def time_histories(
-    comparison: Comparison, channels: Sequence[str] = ("x3", "a1"), zoom: tuple[float, float] | None = None
+    comparison: Comparison,
+    channels: Sequence[str] = ("x3", "a1"),
+    zoom: tuple[float, float] | None = None,
+    units: UnitSystem = "paper",
+    tested: str = "",
 ) -> Figure:
-    """Measured against simulated responses in the paper's units: Fig. 6.
+    """Measured against simulated responses and what they differ by, until the building is at rest: Fig. 6.
 
     Parameters
     ----------
@@ -33,6 +37,10 @@ def time_histories(
         One row each.
     zoom
         Seconds to show enlarged in a second column.
+    units
+        In which quantities are drawn.
+    tested
+        Record and controller, for the caption.
     """
     missing = [name for name in channels if name not in comparison.names]
     if missing:
@@ -41,26 +49,34 @@ def time_histories(
             f"{', '.join(comparison.names)}"
         )
     columns = 1 if zoom is None else 2
-    figure = Figure(figsize=(7.0 * columns, 2.6 * len(channels)), layout="constrained")
-    axes = figure.subplots(len(channels), columns, squeeze=False, sharex="col")
+    figure = Figure(figsize=(7.0 * columns, 3.2 * len(channels)), layout="constrained")
+    rows = 2 * len(channels)
+    axes = figure.subplots(rows, columns, squeeze=False, sharex="col", height_ratios=[3, 1] * len(channels))
     for i, name in enumerate(channels):
-        factor, unit = paper_unit(name)
+        factor, unit = shown_unit(name, units)
         j = comparison.names.index(name)
-        for axis in axes[i]:
-            _history(axis, comparison, j, factor)
-        axes[i, 0].set_ylabel(f"{symbol(name)} [{unit}]")
-    axes[0, 0].legend(loc="upper right", ncols=2)
-    axes[0, 0].set_xlim(comparison.time[0], comparison.time[-1])
+        for above, below in zip(axes[2 * i], axes[2 * i + 1], strict=True):
+            _history(above, below, comparison, j, factor)
+        axes[2 * i, 0].set_ylabel(f"{symbol(name)} [{unit}]")
+        axes[2 * i + 1, 0].set_ylabel(f"error [{unit}]")
+    legend_above(figure, axes[0, 0], 2)
+    drawn = [comparison.measured[:, comparison.names.index(name)] for name in channels]
+    axes[0, 0].set_xlim(comparison.time[0], last_motion(comparison.time, *drawn))
     if zoom is not None:
         axes[0, 1].set_xlim(*zoom)
-        axes[0, 1].set_title(f"{zoom[0]:g} to {zoom[1]:g} s")
+        axes[0, 1].set_title(f"{zoom[0]:g} to {zoom[1]:g} s", fontsize="medium")
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
-    return figure
+    named = " and ".join(symbol(name) for name in channels)
+    under = f" under {tested}" if tested else ""
+    caption = f"{named}{under}: measured, simulated by the identified model, and simulated less measured."
+    return captioned(figure, caption)
 
 
-def control_effect(uncontrolled: Run, controlled: Run, channels: Sequence[str]) -> Figure:
-    """The same test measured without and with control, in the paper's units.
+def control_effect(
+    uncontrolled: Run, controlled: Run, channels: Sequence[str], units: UnitSystem = "paper", tested: str = ""
+) -> Figure:
+    """The same test measured without and with control, until the building is at rest.
 
     Parameters
     ----------
@@ -68,22 +84,31 @@ def control_effect(uncontrolled: Run, controlled: Run, channels: Sequence[str]) 
         Runs of one rig.
     channels
         One row each.
+    units
+        In which quantities are drawn.
+    tested
+        Record and controller, for the caption.
     """
     figure = Figure(figsize=(7.0, 2.6 * len(channels)), layout="constrained")
     axes = figure.subplots(len(channels), 1, squeeze=False, sharex=True)[:, 0]
     for axis, name in zip(axes, channels, strict=True):
-        factor, unit = paper_unit(name)
+        factor, unit = shown_unit(name, units)
         for run, label, colour in ((uncontrolled, "uncontrolled", REFERENCE), (controlled, "controlled", MEASURED)):
             axis.plot(run.time, factor * run.channels([name])[:, 0], color=colour, lw=1.0, label=label)
         axis.set_ylabel(f"{symbol(name)} [{unit}]")
         axis.grid(alpha=0.3)
     axes[0].legend(loc="upper right", ncols=2)
-    axes[-1].set_xlim(controlled.time[0], controlled.time[-1])
+    ends = [last_motion(run.time, *run.channels(channels).T) for run in (uncontrolled, controlled)]
+    axes[-1].set_xlim(controlled.time[0], max(ends))
     axes[-1].set_xlabel("time [s]")
-    return figure
+    named = " and ".join(symbol(name) for name in channels)
+    return captioned(figure, f"{named}{f' under {tested}' if tested else ''}, measured without and with control.")
 
 
-def _history(axis: Axes, comparison: Comparison, j: int, factor: float) -> None:
-    axis.plot(comparison.time, factor * comparison.measured[:, j], color=MEASURED, lw=1.6, label="measured")
-    axis.plot(comparison.time, factor * comparison.simulated[:, j], color=SIMULATED, lw=1.0, ls="--", label="simulated")
-    axis.grid(alpha=0.3)
+def _history(above: Axes, below: Axes, comparison: Comparison, j: int, factor: float) -> None:
+    measured, simulated = factor * comparison.measured[:, j], factor * comparison.simulated[:, j]
+    above.plot(comparison.time, measured, color=MEASURED, lw=1.6, label="measured")
+    above.plot(comparison.time, simulated, color=SIMULATED, lw=1.0, ls="--", label="simulated")
+    below.plot(comparison.time, simulated - measured, color=ERROR, lw=0.6, label="simulated less measured")
+    for axis in (above, below):
+        axis.grid(alpha=0.3)

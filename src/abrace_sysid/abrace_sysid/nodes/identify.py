@@ -16,6 +16,7 @@ from abrace_sysid.data_results import write_data_results
 from abrace_sysid.distortion_results import write_distortion
 from abrace_sysid.figures import identification as figures
 from abrace_sysid.figures.data import figures_of_data
+from abrace_sysid.figures.poles import confidence
 from abrace_sysid.fitting.options import FIT_METHODS, IdentificationOptions
 from abrace_sysid.fitting.stabilization import stabilization
 from abrace_sysid.identification import Identification, identify
@@ -213,7 +214,7 @@ class Identify(AbraceNode):
             if forces:
                 drawings[f"figure_3_force{of_several}"] = figures.transfer_functions(command, forces, found.model)
         if options.fit == "maximum_likelihood":
-            drawings["confidence"] = figures.confidence(
+            drawings["confidence"] = confidence(
                 {
                     "table test": found.poles.table_pairs,
                     "command test": found.poles.command_pairs,

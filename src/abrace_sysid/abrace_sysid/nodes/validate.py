@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from abrace_bags import read_run
+from abrace_core import signals
 from abrace_core.controller_file import load_controller
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import LinearModel, load_model
 from abrace_core.node import AbraceNode, Parameter, run
-from abrace_core.response import PeakRms, clipped_sentences, in_paper_units, peak_rms
+from abrace_core.response import PeakRms, clipped_sentences, in_paper_units, paper_unit, peak_rms, unit_system
 from abrace_core.run import Run
 from abrace_sysid.figures import validation as figures
 from abrace_sysid.validation import Comparison, compare
@@ -30,8 +31,8 @@ PARAMETERS = [
     Parameter("output", "", "folder for comparison.json and figures", required=True),
 ]
 
-ZOOM = 20.0
-"""Seconds shown enlarged: the strong part of El Centro."""
+BEFORE, ZOOM = 5.0, 20.0
+"""Seconds shown enlarged: before the peak of the ground motion, and in all."""
 
 
 class Validate(AbraceNode):
@@ -48,7 +49,7 @@ class Validate(AbraceNode):
         uncontrolled = self.read(given.uncontrolled) if given.uncontrolled else None
         if not given.model and not uncontrolled:
             raise AbraceError("parameter model: empty, expected a model file (JSON), or a bag for uncontrolled")
-        output, top = Path(given.output), test.floors
+        output, top, units = Path(given.output), test.floors, unit_system(test.facts.get("rig", ""))
         content: dict[str, Any] = {
             "test": {
                 "record": test.facts.get("record", ""),
@@ -76,11 +77,14 @@ class Validate(AbraceNode):
         write_text(output / "comparison.json", json.dumps(content, indent=1))
         if given.model:
             shown = comparisons[first]
-            zoom = (shown.time[0], min(shown.time[0] + ZOOM, shown.time[-1]))
-            save_figure(figures.time_histories(shown, [f"x{top}", "a1"], zoom), output / "figure_6_time_histories.png")
+            strongest = shown.time[np.argmax(np.abs(test.ground_acceleration))]
+            begin = max(shown.time[0], strongest - BEFORE)
+            zoom = (begin, min(begin + ZOOM, shown.time[-1]))
+            drawing = figures.time_histories(shown, [f"x{top}", "a1"], zoom, units, _tested(test))
+            save_figure(drawing, output / "figure_6_time_histories.png")
             _print(comparisons)
         if uncontrolled:
-            drawing = figures.control_effect(uncontrolled, test, [f"x{top}", f"a{top}"])
+            drawing = figures.control_effect(uncontrolled, test, [f"x{top}", f"a{top}"], units, _tested(test))
             save_figure(drawing, output / "uncontrolled_and_controlled.png")
         print(f"wrote {output}")
         if judged:
@@ -102,6 +106,13 @@ class Validate(AbraceNode):
             controller = load_controller(self.parameters.controller)
             law, limit, correction = controller.law, controller.force_limit, controller.correction
         return {name: compare(test, model, law, limit, correction) for name, model in models.items()}
+
+
+def _tested(run: Run) -> str:
+    """Record and controller of a test, in words."""
+    peak = float(run.facts.get("peak_acceleration", 0.0)) * paper_unit(signals.GROUND)[0]
+    record = f"{run.facts.get('record', '') or 'no motion'}{f' at {peak:.3g} g' if peak else ''}"
+    return f"{record}, {run.facts.get('controller', '') or 'zero command'}"
 
 
 def _simulated(comparison: Comparison) -> dict[str, Any]:

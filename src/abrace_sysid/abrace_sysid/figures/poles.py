@@ -1,0 +1,111 @@
+"""Figures of poles: how far sets of pole pairs are apart, and within which intervals they are known."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, legend_above
+from abrace_core.linear_model import pole_table
+from abrace_sysid.fitting.pole_estimate import NORMAL_95
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_sysid.fitting.pole_estimate import PoleInterval
+
+STYLES: tuple[dict[str, Any], ...] = (
+    {"marker": "o", "color": MEASURED},
+    {"marker": "s", "color": SIMULATED},
+    {"marker": "D", "color": "k", "ms": 5},
+)
+REFERENCES: tuple[dict[str, Any], ...] = (
+    {"marker": "o", "color": REFERENCE, "mfc": "none"},
+    {"marker": "s", "color": REFERENCE, "mfc": "none"},
+)
+SAME = 0.1
+"""Relative difference in frequency up to which two pairs are the same mode."""
+SPREAD = 0.6
+"""Of a row's height over which the marks of its sets are spread, that none lies on another."""
+
+
+def pole_chart(poles: Mapping[str, NDArray[np.complex128]], reference: Mapping[str, NDArray[np.complex128]]) -> Figure:
+    """How far each oscillating pole is from the first set's: frequency and damping ratio, a row for each mode.
+
+    Parameters
+    ----------
+    poles
+        Identified sets by name. [rad/s]
+    reference
+        Sets to compare with by name (the rig's own, the paper's); the first is the zero of the axes; without one the
+        first identified set is.
+    """
+    drawn = [(name, values, REFERENCES[i % 2]) for i, (name, values) in enumerate(reference.items())]
+    drawn += [(name, values, STYLES[i % 3]) for i, (name, values) in enumerate(poles.items())]
+    sets = [(name, [(w, z, 0.0, 0.0) for w, z in pole_table(values)], style) for name, values, style in drawn]
+    return _rows(sets, sets[0][0], sets[0][1])
+
+
+def confidence(sets: Mapping[str, Sequence[PoleInterval]]) -> Figure:
+    """95 % intervals of frequency and damping ratio of each pair about the last set's estimate, a row for each mode.
+
+    Parameters
+    ----------
+    sets
+        Pairs by the test that they are from, slowest first; those of the last are the zero of the axes.
+    """
+    drawn = [
+        (
+            name,
+            [(pair.frequency, pair.damping, pair.frequency_deviation, pair.damping_deviation) for pair in pairs],
+            STYLES[i % 3],
+        )
+        for i, (name, pairs) in enumerate(sets.items())
+    ]
+    return _rows(drawn, drawn[-1][0], drawn[-1][1])
+
+
+Pair = tuple[float, float, float, float]
+"""Frequency [rad/s] and damping ratio, and their standard deviations."""
+
+
+def _rows(sets: Sequence[tuple[str, Sequence[Pair], dict[str, Any]]], zero: str, centres: Sequence[Pair]) -> Figure:
+    """A row for each of the `centres`, of the set called `zero`: where the pairs of all sets lie beside it."""
+    figure = Figure(figsize=(9.0, 1.4 + 0.55 * len(centres)), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    for axis, quantity, title in zip(axes, (0, 1), ("frequency", "damping ratio"), strict=True):
+        found = [[_difference(centre, pairs, quantity) for centre in centres] for _, pairs, _ in sets]
+        largest = np.nanmax([[0.0, *(np.abs(x) + error for x, error in rows)] for rows in found])
+        factor, unit = (100.0, "%") if largest > 5e-4 else (1e6, "ppm")
+        for number, ((name, _, style), rows) in enumerate(zip(sets, found, strict=True)):
+            x, error = factor * np.array(rows).reshape(-1, 2).T
+            y = np.arange(len(centres)) + SPREAD * ((number + 0.5) / len(sets) - 0.5)
+            given = {"ls": "none", "ms": 6, **style, "label": name}
+            if np.nansum(error) > 0:
+                axis.errorbar(x, y, xerr=error, capsize=2.5, lw=1.0, **given)
+            else:
+                axis.plot(x, y, **given)
+        axis.axvline(0.0, color="k", lw=0.6)
+        axis.set_xlabel(f"{title} less that of {zero} [{unit}]")
+        axis.grid(axis="x", alpha=0.3)
+        axis.margins(x=0.08)
+    axes[0].set_yticks(range(len(centres)), [f"{w:.4g} rad/s\n{100 * z:.3g} %" for w, z, _, _ in centres])
+    axes[0].set_ylim(len(centres) - 0.5, -0.5)
+    for axis in axes:
+        for border in np.arange(len(centres) - 1) + 0.5:
+            axis.axhline(border, color="#dddddd", lw=0.6)
+    legend_above(figure, axes[0], min(4, len(sets)))
+    return figure
+
+
+def _difference(centre: Pair, pairs: Sequence[Pair], quantity: int) -> tuple[float, float]:
+    """Relative difference of the pair that is the same mode as the `centre`, and half its 95 % interval; nan: none."""
+    nearest = min(pairs, key=lambda pair: abs(pair[0] - centre[0]), default=None)
+    if nearest is None or abs(nearest[0] - centre[0]) > SAME * centre[0]:
+        return float("nan"), 0.0
+    size = centre[quantity]
+    return nearest[quantity] / size - 1, NORMAL_95 * nearest[quantity + 2] / abs(size)
