@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from abrace.cli import main
-from abrace_bags import BagWriter
+from abrace_bags import BagWriter, read_topics
+from abrace_bags.figure import bag_figure
 from abrace_bags.mcap.attachments import file_attachments
 
 if TYPE_CHECKING:
@@ -54,6 +55,15 @@ def test_info_of_a_cut_off_bag_warns(bag: Path, capsys: pytest.CaptureFixture[st
     path.write_bytes(path.read_bytes()[:-40])
     assert main(["bag", "info", str(bag)]) == 0
     assert "WARNING: " in capsys.readouterr().out
+
+
+def test_a_plot_shows_quantities_and_counters_only_where_there_are_none(bag: Path) -> None:
+    topics = read_topics(bag, ["/force"])
+    (axis,) = bag_figure(topics).axes
+    assert axis.get_title(loc="left") == "force"
+    assert axis.get_ylabel() == "[N]"
+    del topics["/force"].fields["force"]
+    assert [axis.get_title(loc="left") for axis in bag_figure(topics).axes] == ["sequence"]
 
 
 def test_a_reader_who_has_had_enough_is_no_error(bag: Path) -> None:

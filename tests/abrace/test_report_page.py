@@ -11,7 +11,9 @@ import yaml
 from browser import CHROMIUM, open_page, printed_pages
 from identification_speed import write_bag
 from matplotlib.figure import Figure
+from PIL import Image
 
+from abrace.cli import main
 from abrace.report.against import compare_campaigns
 from abrace.report.writer import make_report
 from abrace_core.drawing import captioned, save_figure
@@ -88,6 +90,22 @@ def test_the_papers_numbers_and_units_stand_beside_its_rig_alone(tmp_path: Path)
     assert "peak x5 [mm]" in markdown
     assert "kgf" not in markdown
     assert "the paper" not in markdown
+
+
+def test_the_building_moves_without_and_with_control_side_by_side(
+    reported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag, path = str(reported.parent.parent / "bags" / "shaken"), tmp_path / "both.gif"
+    arguments = ["bag", "animate", bag, "--against", bag, "--start-offset", "1", "--duration", "0.4"]
+    assert main([*arguments, "--exaggeration", "0.5", "--output", str(path)]) == 0
+    assert "displacements 0.5 times as large" in capsys.readouterr().out
+    with Image.open(path) as image:
+        assert image.n_frames == 6
+        first = np.asarray(image.convert("L"))
+        image.seek(5)
+        assert (first != np.asarray(image.convert("L"))).any(), "expected a building that moves"
+    assert main([*arguments, "--output", str(tmp_path / "both.mp4")]) == 2
+    assert "both.mp4: expected a name that ends in .gif" in capsys.readouterr().err
 
 
 def test_two_campaigns_are_set_side_by_side_with_their_differences(tmp_path: Path) -> None:

@@ -1,8 +1,9 @@
-"""`abrace bag`: what is in a bag, and its topics as CSV, as a MATLAB file, as a figure."""
+"""`abrace bag`: what is in a bag, its topics as CSV, as a MATLAB file, as a figure, and the building in motion."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,19 +22,29 @@ LONGEST_FACT = 100
 
 def add_bag_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `bag` and what it can do to the command's `commands`."""
-    bag = commands.add_parser("bag", help="what is in a bag; its topics as CSV, MATLAB file or figure")
+    bag = commands.add_parser(
+        "bag", help="what is in a bag; its topics as CSV, MATLAB file or figure; the building in motion"
+    )
     actions = bag.add_subparsers(dest="action", required=True, metavar="ACTION")
     helps = {
         "info": "topics, types, counts, rates, gaps, facts",
         "csv": "one topic as comma-separated values",
         "mat": "topics as structs of a MATLAB file",
-        "plot": "topics over time, as a PNG file",
+        "plot": "physical quantities of topics over time, as a PNG or SVG file",
+        "animate": "the building in motion, alone or beside another test, as a GIF file",
     }
     for name, text in helps.items():
         action = actions.add_parser(name, help=text)
         action.add_argument("bag", type=Path, help="bag directory or MCAP file")
         if name == "csv":
             action.add_argument("topics", metavar="topic", nargs=1, help="such as /response")
+        elif name == "animate":
+            action.add_argument(
+                "--against", type=Path, metavar="BAG", help="another test of it, to be drawn on the left"
+            )
+            action.add_argument(
+                "--exaggeration", type=float, default=0.0, metavar="N", help="times the displacements; 0: as fits"
+            )
         elif name != "info":
             several = "+" if name == "plot" else "*"
             action.add_argument("topics", metavar="topic", nargs=several, help="such as /response")
@@ -57,6 +68,9 @@ def bag_command(given: argparse.Namespace) -> None:
     for name in ("start_offset", "duration"):
         if not 0.0 <= getattr(given, name) < 1e9:
             raise AbraceError(f"--{name.replace('_', '-')}: {getattr(given, name)}, expected seconds from 0 on")
+    if given.action == "animate":
+        _animate(given)
+        return
     topics = _topics(given.bag, given.topics)
     begin, end = time_range(
         given.bag, lambda channel: not topics or channel.topic in topics, given.start_offset, given.duration
@@ -81,12 +95,22 @@ def bag_command(given: argparse.Namespace) -> None:
                 write_mat(given.output, contents, contents.facts)
             else:
                 from abrace_bags.figure import bag_figure
-                from abrace_core.drawing import save_figure
+                from abrace_core.drawing import save_image
 
-                save_figure(bag_figure(contents), given.output)
+                save_image(bag_figure(contents), given.output)
     for warning in warnings:
         print(f"abrace: {warning}", file=sys.stderr)
     print(f"wrote {given.output}")
+
+
+def _animate(given: argparse.Namespace) -> None:
+    from abrace.report.animation import animate
+
+    if not 0.0 <= given.exaggeration < math.inf:
+        raise AbraceError(f"--exaggeration: {given.exaggeration}, expected a number above 0")
+    bags = [bag for bag in (given.against, given.bag) if bag is not None]
+    scale = animate(bags, given.output, given.start_offset, given.duration, given.exaggeration)
+    print(f"wrote {given.output}, displacements {scale:g} times as large")
 
 
 @contextlib.contextmanager

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from abrace_core.drawing import MEASURED
+from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
 from abrace_core.errors import AbraceError
+from abrace_core.signals import load_cell_names, numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -32,6 +34,11 @@ UNITS = {
 _LARGEST = 1e300
 """Larger numbers, which overflow an axis, are not drawn."""
 _NOT_DRAWN = ("header.stamp.sec", "header.stamp.nanosec")
+_LETTERS = {"displacement": "x", "acceleration": "a", "stroke": "xf", "force": "f", "command": "U"}
+"""Of the channels of abrace's messages, as the paper names them; one to each floor, group or load cell."""
+_COLOURS = (MEASURED, SIMULATED, "#2a7f62", "#d08c1d", "k", REFERENCE)
+_MOST_NAMED = 12
+"""Channels up to which a legend names them."""
 
 
 def bag_figure(topics: Mapping[str, TopicArrays]) -> Figure:
@@ -40,8 +47,8 @@ def bag_figure(topics: Mapping[str, TopicArrays]) -> Figure:
     Parameters
     ----------
     topics
-        By name. Numbers are drawn over the stamps of their messages, where they have one, else over their log time;
-        quantities that never change and texts are left out.
+        By name. Quantities are drawn over the stamps of their messages, where they have one, else over their log time.
+        Texts and what never changes are left out, and counters and flags where there are quantities.
 
     Raises
     ------
@@ -53,8 +60,7 @@ def bag_figure(topics: Mapping[str, TopicArrays]) -> Figure:
     panels = [
         (topic, name, values.reshape(len(values), -1))
         for topic, messages in topics.items()
-        for name, values in messages.fields.items()
-        if name not in _NOT_DRAWN and values.dtype.kind in "iufb" and values.size and (values != values[0]).any()
+        for name, values in _quantities(messages).items()
     ]
     if not panels:
         raise AbraceError(f"topics {', '.join(topics)}: nothing to draw, expected numbers that change")
@@ -63,16 +69,38 @@ def bag_figure(topics: Mapping[str, TopicArrays]) -> Figure:
     for axis, (topic, name, values) in zip(axes, panels, strict=True):
         seconds = 1e-9 * (times[topic] - begin)
         drawn = np.where(np.abs(values.astype(float)) < _LARGEST, values, np.nan)
-        for number, channel in enumerate(drawn.T):
-            shade: dict[str, Any] = {"alpha": 1.0 - 0.7 * number / values.shape[1], "color": MEASURED, "lw": 0.8}
-            axis.plot(seconds, channel, label=f"{number}", **shade)
-        if 1 < values.shape[1] <= 12:
-            axis.legend(loc="upper right", ncols=values.shape[1], fontsize="small")
-        axis.set_title(f"{topic} {name}", loc="left", fontsize="small")
+        count = values.shape[1]
+        labels = _labels(topics[topic], name, count)
+        for channel, label, colour in zip(drawn.T, labels, itertools.cycle(_COLOURS), strict=False):
+            axis.plot(seconds, channel, label=label, color=colour, lw=0.7)
+        if 1 < count <= _MOST_NAMED or (count == 1 and name in _LETTERS):
+            axis.legend(loc="upper right", ncols=count, fontsize="small")
+        words = name.replace("_", " ")
+        axis.set_title(f"{topic}: {words}" if len(topics) > 1 else words, loc="left", fontsize="small")
         axis.set_ylabel(f"[{UNITS[name]}]" if name in UNITS else "")
+        axis.grid(alpha=0.3)
         axis.margins(x=0)
     axes[-1].set_xlabel("time [s]")
     return figure
+
+
+def _quantities(messages: TopicArrays) -> dict[str, NDArray[Any]]:
+    """The numbers of a topic that change; of a topic with quantities no counters, flags and states."""
+    numbers = {
+        name: values
+        for name, values in messages.fields.items()
+        if name not in _NOT_DRAWN and values.dtype.kind in "iufb" and values.size and (values != values[0]).any()
+    }
+    quantities = {name: values for name, values in numbers.items() if values.dtype.kind == "f"}
+    return quantities or numbers
+
+
+def _labels(messages: TopicArrays, name: str, count: int) -> Sequence[str]:
+    """Names of the `count` channels of a field: those of a rig, else numbers."""
+    braces = messages.fields.get("braces")
+    if name == "force" and braces is not None and braces.ndim == 2 and braces[0].sum() == count:
+        return load_cell_names(braces[0].tolist())
+    return numbered(_LETTERS[name], count) if name in _LETTERS else [str(number) for number in range(count)]
 
 
 def _time(messages: TopicArrays) -> NDArray[np.int64]:

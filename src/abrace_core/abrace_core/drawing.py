@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from abrace_core.errors import AbraceError
 from abrace_core.files import write_atomically, write_text
 from abrace_core.zoomable import plotly_figure
 
@@ -31,6 +32,8 @@ RESOLUTION = 160
 """Dots per inch of saved figures."""
 QUIET = 0.03
 """Of a curve's peak, below which a building is at rest as far as a figure shows it."""
+IMAGES = (".png", ".svg")
+"""Suffixes of figures' files."""
 ZOOMABLE = ".plotly.json"
 """Suffix of the file that the report takes a figure from."""
 
@@ -78,9 +81,24 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     path = Path(path)
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
-    caption = str(figure.get_label())
-    content = {"caption": caption, "plotly": plotly_figure(figure)}
-    for suffix, facts in ((".png", {"Description": caption}), (".svg", {"Description": caption, "Date": None})):
-        with write_atomically(path.with_suffix(suffix)) as temporary:
-            figure.savefig(temporary, format=suffix[1:], dpi=RESOLUTION, metadata=facts)
+    content = {"caption": str(figure.get_label()), "plotly": plotly_figure(figure)}
+    for suffix in (".png", ".svg"):
+        save_image(figure, path.with_suffix(suffix))
     write_text(path.with_suffix(ZOOMABLE), json.dumps(content, separators=(",", ":"), allow_nan=False))
+
+
+def save_image(figure: Figure, path: Path | str) -> None:
+    """Write a `figure` to one file, PNG or, as its suffix says, SVG, with its caption, atomically.
+
+    Raises
+    ------
+    AbraceError
+        If it has another suffix.
+    """
+    path = Path(path)
+    suffix = path.suffix or IMAGES[0]
+    if suffix not in IMAGES:
+        raise AbraceError(f"figure {path}: expected a name that ends in {' or '.join(IMAGES)}")
+    facts = {"Description": str(figure.get_label()), **({"Date": None} if suffix == ".svg" else {})}
+    with write_atomically(path) as temporary:
+        figure.savefig(temporary, format=suffix[1:], dpi=RESOLUTION, metadata=facts)

@@ -131,7 +131,7 @@ def hankel_singular_values(values: NDArray[np.float64], kept: int) -> Figure:
     axis.set_ylabel("Hankel singular value [-]")
     axis.grid(axis="y", alpha=0.3)
     axis.legend(loc="best")
-    return figure
+    return captioned(figure, "Hankel singular values of the whole model, and the states that the reduced model keeps.")
 
 
 def reduction_errors(errors: OrderErrors, kept: int, inputs: Sequence[str] = (signals.GROUND, "U")) -> Figure:
@@ -265,7 +265,8 @@ def stabilization_diagram(found: Stabilization, reference: list[float] | None = 
     axis.set_ylabel("number of poles")
     axis.set_yticks([poles.order for poles in found.orders][:: max(1, len(found.orders) // 10)])
     legend_above(figure, axis, len(kinds))
-    return figure
+    told = "Poles of rising order and what they share with those of the order before; grey: mean amplitude"
+    return captioned(figure, f"{told} from {symbol(found.measured.input)}; dotted: the modes that were found.")
 
 
 def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from abrace_core import signals
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
+from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, captioned, plain_ticks
 from abrace_sysid.figures.symbols import symbol
 from abrace_sysid.validity.finding import Verdict
 
@@ -66,7 +66,9 @@ def validity_figure(validity: Validity, residuals: Sequence[Residual]) -> Figure
         if sentences:
             bottom.text(place, 0.97, title, fontsize=10, fontweight="bold", va="top")
             bottom.text(place, 0.88, _wrapped(sentences, width), fontsize=8.5, va="top", linespacing=1.3)
-    return figure
+    return captioned(
+        figure, "Whether the model can be trusted: each check beside its limit, and what the model leaves."
+    )
 
 
 def worst_of_each(findings: Sequence[Finding]) -> list[Finding]:
@@ -101,6 +103,7 @@ def _bars(axis: Axes, findings: Sequence[Finding]) -> None:
     axis.axvline(1.0, color="k", lw=1.2)
     axis.set_xscale("log")
     axis.set_xlim(left, 1.5 * LONGEST)
+    plain_ticks(axis.xaxis, SHORTEST, LONGEST)
     axis.set_yticks(rows, [finding.check for finding in shown])
     axis.set_ylim(len(shown) - 0.4, -0.6)
     axis.set_xlabel("found, times the limit [-]")
