@@ -10,7 +10,7 @@ controller, loop, lqr_agreement  a step of LQG3, its answer over DDS and the ech
 explore        1000 closed loops of 50 000 steps, designs and margins included, on all cores
 reading        the responses of that run's bag to arrays, against `rosbags`
 bags           1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`
-report         report.html of the demo: `abrace report` as a process of its own, the page's size, and a headless Chromium
+report         report.html of the demo: `abrace report` as a process of its own, its size, and a headless Chromium
                from its start to its end with all figures drawn
 identification from bags of 600 s to the model, against `rosbags`, `mcap-ros2-support` and scikit-rf's VectorFitting
 """

@@ -37,7 +37,7 @@ def report_speed() -> dict[str, Any]:
 
 def report_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     """Rows of the table of speeds, from what `report_speed` has `found`."""
-    rows = [
+    rows: list[tuple[str, ...]] = [
         ("report of the demo, s", f"{found['seconds']:.1f}", "10", "-", "-"),
         ("its page, MB", f"{found['megabytes']:.1f}", "5", "-", "-"),
     ]

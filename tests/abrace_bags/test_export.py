@@ -136,11 +136,11 @@ def test_numbers_that_overflow_an_axis_are_not_drawn(tmp_path: Path) -> None:
 
 def test_figure_has_a_panel_for_each_quantity_that_changes(bag: Path) -> None:
     figure = bag_figure(read_topics(bag, ["/rig/response"]))
-    titles = [axis.get_title(loc="left").removeprefix("/rig/response ") for axis in figure.axes]
-    quantities = ["displacement", "acceleration", "stroke", "force", "command", "ground_acceleration"]
-    assert titles == ["sequence", *quantities]
-    panel = figure.axes[1]
+    titles = [axis.get_title(loc="left") for axis in figure.axes]
+    assert titles == ["displacement", "acceleration", "stroke", "force", "command", "ground acceleration"]
+    panel = figure.axes[0]
     assert panel.get_ylabel() == "[m]"
+    assert [text.get_text() for text in panel.get_legend().get_texts()] == ["x1", "x2", "x3"]
     assert len(panel.lines) == 3
     np.testing.assert_allclose(panel.lines[0].get_xdata()[-1], 0.038, rtol=1e-12)
     with pytest.raises(AbraceError, match=r"topics /note: nothing to draw"):

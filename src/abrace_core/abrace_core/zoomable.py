@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.colors import to_rgba
-from matplotlib.text import Annotation
+from matplotlib.text import Annotation, Text
 from matplotlib.ticker import FixedLocator
 
 from abrace_core.zoomable_curves import PIXELS, colour_of, html_text, pixels, traces
@@ -19,9 +19,8 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
-    from matplotlib.figure import Figure, FigureBase
+    from matplotlib.figure import Figure
     from matplotlib.legend import Legend
-    from matplotlib.text import Text
 
 FRAME = {
     "showline": True,
@@ -70,7 +69,8 @@ def plotly_figure(figure: Figure) -> dict[str, Any] | None:
             shown = {"showlegend": True, "legend": legend} if legend else {"showlegend": False}
             found.append({**trace, **shown, "xaxis": x, "yaxis": y})
         _add_texts(layout, axis.texts, figure, (x, y), axis)
-        _add_texts(layout, [axis.title, axis._left_title, axis._right_title], figure)
+        titles = [one for one in axis.get_children() if isinstance(one, Text) and one not in axis.texts]
+        _add_texts(layout, titles, figure)
     for part in _parts(figure):
         _add_texts(layout, [*part.texts, *filter(None, [getattr(part, "_suptitle", None)])], figure)
         if part is not figure and to_rgba(part.patch.get_facecolor())[3]:
@@ -85,7 +85,7 @@ def plotly_figure(figure: Figure) -> dict[str, Any] | None:
     return {"data": found, "layout": layout}
 
 
-def _parts(figure: FigureBase) -> Iterator[FigureBase]:
+def _parts(figure: Any) -> Iterator[Any]:
     yield figure
     for part in figure.subfigs:
         yield from _parts(part)
@@ -140,7 +140,7 @@ def _add_axes(
         **drawn, **_axis(axis.yaxis, axis.get_ylim(), axis.get_yscale()),
         "domain": _domain(place["y0"], place["y1"]), "anchor": x,
     }  # fmt: skip
-    if axis.yaxis.get_label_position() == "right":
+    if axis.yaxis.get_ticks_position() == "right":
         layout[y_key] |= {"side": "right"}
     below = next(one for one in axes if names[one][0] == x)
     if below is not axis:
@@ -170,10 +170,8 @@ def _axis(axis: Axis, limits: tuple[float, float], scale: str) -> dict[str, Any]
     found["title"]["font"] = {"size": pixels(axis.label.get_fontsize())}
     if isinstance(axis.get_major_locator(), FixedLocator):
         ticks = axis.get_majorticklocs()
-        found |= {
-            "tickvals": ticks.tolist(),
-            "ticktext": [html_text(t) for t in axis.get_major_formatter().format_ticks(ticks)],
-        }
+        words = axis.get_major_formatter().format_ticks(list(ticks))
+        found |= {"tickvals": list(map(float, ticks)), "ticktext": list(map(html_text, words))}
     elif scale == "log":
         found |= {"dtick": 1 if abs(np.log10(high / low)) > 1.3 else "D1", "exponentformat": "power"}
     else:
@@ -185,20 +183,21 @@ def _legends(figure: Figure, axes: Sequence[Axes], layout: dict[str, Any]) -> di
     """Names of the legends by label and axes, None for those of the figure; their places go into `layout`."""
     found: dict[str, dict[Axes | None, str]] = {}
     several: list[tuple[Axes | None, Legend]] = [(None, one) for part in _parts(figure) for one in part.legends]
-    several += [(axis, axis.get_legend()) for axis in axes if axis.get_legend() is not None]
+    several += [(axis, legend) for axis in axes if (legend := axis.get_legend()) is not None]
     for number, (owner, legend) in enumerate(several, 1):
         name = "legend" if number == 1 else f"legend{number}"
-        box = legend.get_window_extent()
-        (left, _), (right, top) = box.min / figure.bbox.max, box.max / figure.bbox.max
+        left, _, right, top = _corners(legend, figure)
+        words = legend.get_texts()
+        lines = {round(word.get_window_extent().y0) for word in words}
         middle = 0.5 if owner is None else float((owner.bbox.x0 + owner.bbox.x1) / 2 / figure.bbox.x1)
         # held at the side that is nearer to its axes' edge, as letters are not as wide here
         side = "left" if (left + right) / 2 <= middle else "right"
         layout[name] = {
-            "x": float(left if side == "left" else right), "y": float(top), "xanchor": side, "yanchor": "top",
-            "bgcolor": "rgba(255,255,255,0.8)", "font": {"size": pixels(legend._fontsize)}, "tracegroupgap": 0,
-            "orientation": "h" if legend._ncols > 1 else "v", "borderwidth": 0, "itemwidth": 30,
+            "x": left if side == "left" else right, "y": top, "xanchor": side, "yanchor": "top",
+            "bgcolor": "rgba(255,255,255,0.8)", "font": {"size": pixels(words[0].get_fontsize())},
+            "tracegroupgap": 0, "orientation": "h" if len(lines) < len(words) else "v", "itemwidth": 30,
         }  # fmt: skip
-        for text in legend.get_texts():
+        for text in words:
             found.setdefault(html_text(text.get_text()), {})[owner] = name
     return found
 
@@ -223,16 +222,21 @@ def _add_texts(
             )  # fmt: skip
         if not text.get_text().strip():
             continue
-        box = text.get_window_extent()
-        (x0, y0), (x1, y1) = box.min / figure.bbox.max, box.max / figure.bbox.max
+        x0, y0, x1, y1 = _corners(text, figure)
+        side = text.get_horizontalalignment()
         words = html_text(text.get_text())
         layout["annotations"].append({
-            "x": float({"left": x0, "center": (x0 + x1) / 2, "right": x1}[text.get_ha()]), "y": float((y0 + y1) / 2),
-            "xref": "paper", "yref": "paper", "xanchor": text.get_ha(), "yanchor": "middle", "showarrow": False,
+            "x": {"left": x0, "center": (x0 + x1) / 2, "right": x1}[side], "y": (y0 + y1) / 2,
+            "xref": "paper", "yref": "paper", "xanchor": side, "yanchor": "middle", "showarrow": False,
             "text": f"<b>{words}</b>" if text.get_fontweight() in ("bold", 700) else words, "align": "left",
             "font": {"size": pixels(text.get_fontsize()), "color": colour_of(text.get_color())},
             "textangle": -text.get_rotation(), "borderpad": 0,
         })  # fmt: skip
+
+
+def _corners(artist: Any, figure: Figure) -> list[float]:
+    """Left, bottom, right and top of what is drawn, in shares of the `figure`."""
+    return np.concatenate([corner / figure.bbox.max for corner in artist.get_window_extent().get_points()]).tolist()
 
 
 def _logarithmic(axis: Axes, point: tuple[float, float]) -> list[float]:

@@ -34,7 +34,7 @@ LETTERS = {"omega": "\u03c9", "zeta": "\u03b6", "sigma": "\u03c3", "pm": "\u00b1
 
 
 def thinned(x: NDArray[np.float64], y: NDArray[np.float64], bins: int = BINS) -> NDArray[np.intp]:
-    """Which points of a curve (points,) to keep: of each of so many `bins` the ends, the least and the greatest.
+    """Which points of a curve `y` over `x` (points,) to keep: of each of `bins` the ends, the least and the greatest.
 
     >>> thinned(np.arange(12.0), np.array([0, 1, 9, 1, 0, 1, 0, 0, -5, 0, 2, 0.0]), 2)
     array([ 0,  2,  5,  6,  8, 10, 11])
@@ -57,7 +57,7 @@ def thinned(x: NDArray[np.float64], y: NDArray[np.float64], bins: int = BINS) ->
 
 
 def html_text(text: str) -> str:
-    r"""A label with matplotlib's TeX between dollars as HTML.
+    r"""The `text` of a label, with matplotlib's TeX between dollars, as HTML.
 
     >>> html_text(r"$\ddot{x}_{1a}$ [m/s^2] at $10^{-3}$")
     '<i>x\u0308</i><sub>1a</sub> [m/s^2] at 10<sup>-3</sup>'
@@ -69,7 +69,7 @@ def html_text(text: str) -> str:
 def _tex(text: str) -> str:
     text = re.sub(r"\\mathdefault\{(.*)\}", r"\1", text)
     for name, mark in COMBINING.items():
-        text = re.sub(rf"\\{name}\{{(\w)\}}", lambda found, mark=mark: f"{found[1]}{mark}", text)
+        text = re.sub(rf"\\{name}\{{(\w)\}}", rf"\g<1>{mark}", text)
     for name, letter in LETTERS.items():
         text = text.replace(f"\\{name}", letter)
     text = re.sub(r"(?<![A-Za-z{\\])([A-Za-z][\u0300-\u036f]?)(?![A-Za-z])(?![^{]*\})", r"<i>\1</i>", text)
@@ -78,7 +78,7 @@ def _tex(text: str) -> str:
     return text.replace("{", "").replace("}", "").replace("\u2212", "-")
 
 
-def pixels(points: float) -> float:
+def pixels(points: Any) -> float:
     """A size in `points` in a browser's pixels; letters are a little wider there."""
     return round(0.95 * points * PIXELS / 72, 1)
 
@@ -175,7 +175,7 @@ def _collection(collection: Any) -> Iterator[dict[str, Any]]:
         return
     label = collection.get_label()
     if isinstance(collection, PathCollection):
-        x, y = np.ma.filled(collection.get_offsets().astype(float), np.nan).T
+        x, y = np.ma.filled(np.ma.asarray(collection.get_offsets(), float), np.nan).T
         colours = collection.get_facecolor() if len(collection.get_facecolor()) else collection.get_edgecolor()
         drawn = [colour_of(one) for one in colours]
         size = float(np.sqrt(np.mean(collection.get_sizes()))) * PIXELS / 72
@@ -183,7 +183,7 @@ def _collection(collection: Any) -> Iterator[dict[str, Any]]:
         yield _named({"type": "scatter", "x": _packed(x), "y": _packed(y), "mode": "markers", "marker": marker}, label)
     elif isinstance(collection, PolyCollection):
         for path in collection.get_paths():
-            x, y = path.vertices.T
+            x, y = np.asarray(path.vertices).T
             colour = colour_of(collection.get_facecolor()[0])
             filled = {"mode": "none", "fill": "toself", "fillcolor": colour, "hoverinfo": "skip"}
             yield _named({"type": "scatter", "x": _packed(x), "y": _packed(y), **filled}, label)
@@ -191,7 +191,10 @@ def _collection(collection: Any) -> Iterator[dict[str, Any]]:
         segments = [np.vstack([segment, [[np.nan, np.nan]]]) for segment in collection.get_segments() if len(segment)]
         if segments:
             x, y = np.vstack(segments)[:-1].T
-            line = {"color": colour_of(collection.get_color()[0]), "width": pixels(collection.get_linewidth()[0])}
+            line = {
+                "color": colour_of(collection.get_color()[0]),
+                "width": pixels(np.ravel(collection.get_linewidth())[0]),
+            }
             yield _named({"type": "scatter", "x": _listed(x), "y": _listed(y), "mode": "lines", "line": line}, label)
 
 

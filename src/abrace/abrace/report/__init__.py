@@ -1,1 +1,1 @@
-"""The files of results that a campaign wrote, to summary.json, report.md and tables."""
+"""The results and bags of a campaign to report.html, report.md, summary.json and tables; the building in motion."""

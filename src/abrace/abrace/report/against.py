@@ -97,9 +97,10 @@ class _Pair:
                 rows = []
                 for number, pole in enumerate(mine.identified, 1):
                     match = nearest_pole(theirs.identified, pole.frequency)
-                    cells = self._cells(pole.frequency, match and match.frequency, ".3f")
-                    damping = self._cells(100 * pole.damping_ratio, match and 100 * match.damping_ratio, ".3f")
-                    rows.append((str(number), *cells, *damping))
+                    frequency, damping = (match.frequency, 100 * match.damping_ratio) if match else (None, None)
+                    cells = self._cells(pole.frequency, frequency, ".3f")
+                    cells += self._cells(100 * pole.damping_ratio, damping, ".3f")
+                    rows.append((str(number), *cells))
                 header = ("", f"rad/s: {self.names[0]}", *self._rest, f"damping %: {self.names[0]}", *self._rest)
                 yield Table(f"Poles from the {test} test", header, tuple(rows))
         both = [step for step in self.these.validity if step in self.those.validity]
@@ -110,11 +111,11 @@ class _Pair:
     def controllers(self) -> Iterator[Table]:
         """Margins of controllers that both have designed."""
         keys = (
-            ("gain", "gain margin [dB]", 1),
-            ("phase", "phase margin [deg]", 1),
+            ("gain", "gain margin [dB]", 1.0),
+            ("phase", "phase margin [deg]", 1.0),
             ("delay", "delay margin [ms]", 1e3),
+            ("sensitivity_peak", "sensitivity peak", 1.0),
         )
-        keys += (("sensitivity_peak", "sensitivity peak", 1),)
 
         def value(margins: LeastMargins, key: str, factor: float) -> float | None:
             found = getattr(margins, key)
@@ -171,7 +172,7 @@ class _Pair:
     def _rest(self) -> tuple[str, str]:
         return self.names[1], "difference %"
 
-    def _cells(self, mine: float | None, theirs: float | None, form: str) -> tuple[str, str, str]:
+    def _cells(self, mine: float | None, theirs: float | None, form: str) -> tuple[str, ...]:
         shown = tuple("-" if value is None else format(value, form) for value in (mine, theirs))
         return shown[0], shown[1], _difference(mine, theirs)
 

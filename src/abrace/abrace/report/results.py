@@ -149,7 +149,8 @@ class Comparison(Checked):
             given = getattr(self, name)
             if given is not None and list(given) != rows:
                 raise ValueError(f"{name} with the rows of measured, {' '.join(rows)}")
-        for agreement in (one.simulated_vs_measured for one in (self, *self.other_models.values())):
+        agreements = [self.simulated_vs_measured, *(one.simulated_vs_measured for one in self.other_models.values())]
+        for agreement in agreements:
             if not set(agreement) <= set(rows):
                 raise ValueError(f"simulated_vs_measured with rows of measured, {' '.join(rows)}")
         return self

@@ -76,7 +76,7 @@ def interval_tables(results: Results) -> list[Table]:
 
 
 def comparison_tables(results: Results, units: Units) -> list[Table]:
-    """Table 1, reductions and agreement of the main comparison of the `results`, then all of them side by side."""
+    """Table 1, reductions and agreement of the main comparison of the `results`, then all of them, in these `units`."""
     found = one_comparison(results.main, units) if results.main is not None else []
     return [*found, *tables_of_all(results, units)]
 
