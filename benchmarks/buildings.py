@@ -26,7 +26,7 @@ from abrace_core.linear_model import pole_table, save_model
 from abrace_core.node import find_file
 from abrace_core.response import peak_rms
 from abrace_core.simulation import simulate
-from abrace_lqg.proof.files import design_to_file
+from abrace_lqg.proof.proven_design import design_to_file
 from abrace_lqg.weights import load_weights
 from abrace_plant.records.files import read_record
 from abrace_plant.records.intensity import STANDARD_GRAVITY

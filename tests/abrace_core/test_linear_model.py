@@ -181,3 +181,9 @@ def test_python_control_gets_the_same_model_and_no_delays():
     assert oscillator(sample_period=0.002).to_control().dt == 0.002
     with pytest.raises(AbraceError, match="input delays"):
         oscillator(input_delay=(0.0, 0.1)).to_control()
+
+
+def test_a_delay_of_a_discrete_model_is_a_pole_that_is_over_at_once():
+    delay = LinearModel(np.zeros((1, 1)), np.eye(1), np.eye(1), np.zeros((1, 1)), ("u",), ("y",), sample_period=0.002)
+    assert delay.poles().real.tolist() == [-np.inf]
+    assert delay.is_stable()

@@ -22,8 +22,9 @@ from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.loop import closed_loop, is_stable, sampled
 from abrace_lqg.proof.checks import Proof, prove, require
 from abrace_lqg.proof.figures import loop_figure
-from abrace_lqg.proof.files import design_to_file, load_models, save_proof
+from abrace_lqg.proof.files import load_models, save_proof
 from abrace_lqg.proof.limits import OBJECTIONS, WORDING, Limits
+from abrace_lqg.proof.proven_design import design_to_file
 from abrace_lqg.proof.table import table_lines
 from abrace_lqg.weights import Weights, load_weights
 from abrace_plant.rig.file import load_rig
@@ -333,7 +334,7 @@ def test_models_are_drawn_about_those_whose_files_have_a_covariance(tmp_path: Pa
     proof, *_ = design_to_file([str(exact), str(uncertain)], tmp_path / "one.yaml", draws=0, **given)
     assert all(each.ensemble is None for each in proof.models)
     save_model(rig_model, uncertain, np.eye(3))
-    with pytest.raises(AbraceError, match=r"model file .*uncertain\.json: covariance of a model"):
+    with pytest.raises(AbraceError, match=r"^model uncertain: covariance of a model"):
         design_to_file([str(exact), str(uncertain)], tmp_path / "one.yaml", draws=5, **given)
 
 

@@ -12,6 +12,7 @@ KEYS = {
     "numpy": "python3-numpy",
     "scipy": "python3-scipy",
     "matplotlib": "python3-matplotlib",
+    "pandas": "python3-pandas",
     "numba": "python3-numba",
     "yaml": "python3-yaml",
     "pytest": "python3-pytest",

@@ -1,1 +1,76 @@
-"""Runs whole tests of the rig: nodes as processes, campaigns, reports, the `abrace` command."""
+"""Tests of an actively braced building: read, identify, design, simulate, validate; without ROS.
+
+    import abrace
+
+    found = abrace.identify(table="bags/table_noise", command="bags/command_noise")
+    designed = abrace.design(found, "lqg3")
+    run = abrace.simulate("ncree_three_storey", "el_centro", controller=designed, peak_acceleration=0.98)
+    run.plot()
+
+Rigs, records, weights and models are given by name, by file, or as objects. The rest of this package runs whole tests:
+nodes as processes, campaigns, reports, the `abrace` command.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from abrace.interactive.controllers import design
+    from abrace.interactive.identification import identify, identify_data, validate
+    from abrace.interactive.laboratory import characterize, load_record, load_rig, read_run, simulate
+    from abrace_core.controller_file import Controller, load_controller
+    from abrace_core.discretization import discretize
+    from abrace_core.errors import AbraceError
+    from abrace_core.linear_model import LinearModel, load_model, save_model
+    from abrace_core.run import Run
+    from abrace_plant.records.record import Record
+    from abrace_plant.rig.model import Rig
+
+_MODULES = {
+    "abrace.interactive.controllers": ("design",),
+    "abrace.interactive.identification": ("identify", "identify_data", "validate"),
+    "abrace.interactive.laboratory": ("characterize", "load_record", "load_rig", "read_run", "simulate"),
+    "abrace_core.controller_file": ("Controller", "load_controller"),
+    "abrace_core.discretization": ("discretize",),
+    "abrace_core.errors": ("AbraceError",),
+    "abrace_core.linear_model": ("LinearModel", "load_model", "save_model"),
+    "abrace_core.run": ("Run",),
+    "abrace_plant.records.record": ("Record",),
+    "abrace_plant.rig.model": ("Rig",),
+}
+"""Where names are defined: the `abrace` command, which needs none of them, starts without these imports."""
+
+__all__ = [
+    "AbraceError",
+    "Controller",
+    "LinearModel",
+    "Record",
+    "Rig",
+    "Run",
+    "characterize",
+    "design",
+    "discretize",
+    "identify",
+    "identify_data",
+    "load_controller",
+    "load_model",
+    "load_record",
+    "load_rig",
+    "read_run",
+    "save_model",
+    "simulate",
+    "validate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _MODULES.items():
+        if name in names:
+            return getattr(importlib.import_module(module), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -138,6 +138,11 @@ class Controller:
             )
         object.__setattr__(self, "force_limit", limit)
 
+    def __repr__(self) -> str:
+        law = self.law
+        signals = f"{', '.join(law.inputs)} to {', '.join(law.outputs)}"
+        return f"<Controller {self.name}: {signals}, {law.order} states, every {law.sample_period:g} s>"
+
 
 def save_controller(controller: Controller, path: Path | str, proof: Sequence[str] = ()) -> None:
     """Write the controller's parameter file, atomically; the same controller gives the same bytes.

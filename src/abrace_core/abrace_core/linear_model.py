@@ -19,11 +19,14 @@ from scipy import linalg
 from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
+from abrace_core.tables import data_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     import control
+    import pandas
+    from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
 
 FILE_FORMAT = "abrace model 1"
@@ -85,16 +88,22 @@ class LinearModel:
             raise AbraceError("model input_delay: a discrete model carries its delays in states, expected zeros")
         object.__setattr__(self, "input_delay", delay)
 
+    def __repr__(self) -> str:
+        kind = f"every {self.sample_period:g} s" if self.sample_period else "continuous"
+        return f"<LinearModel: {self.order} states, {', '.join(self.inputs)} to {', '.join(self.outputs)}, {kind}>"
+
     @property
     def order(self) -> int:
         """Number of states."""
         return len(self.a)
 
     def poles(self) -> NDArray[np.complex128]:
-        """Continuous poles [rad/s], slowest first; those of a discrete model are mapped back by log(z)/T."""
+        """Continuous poles [rad/s], slowest first; those of a discrete model are log(z)/T, one at z = 0 is -inf."""
         poles = np.asarray(linalg.eigvals(self.a), dtype=np.complex128)
         if self.sample_period:
-            poles = np.asarray(np.log(poles) / self.sample_period)
+            z, moving = poles, poles != 0
+            poles = np.full_like(z, -np.inf)
+            poles[moving] = np.log(z[moving]) / self.sample_period
         return poles[np.argsort(np.abs(poles), kind="stable")]
 
     def is_stable(self) -> bool:
@@ -137,6 +146,51 @@ class LinearModel:
             input_delay=tuple(self.input_delay[j] for j in columns),
         )
 
+    def to_pandas(self) -> pandas.DataFrame:
+        """The pole pairs, slowest first: frequency [Hz] and [rad/s], damping ratio; an unstable one has it below 0.
+
+        Raises
+        ------
+        AbraceError
+            If pandas is not installed.
+        """
+        pairs = np.array(pole_table(self.poles())).reshape(-1, 2)
+        columns = {
+            "frequency [Hz]": pairs[:, 0] / (2 * np.pi),
+            "frequency [rad/s]": pairs[:, 0],
+            "damping ratio": pairs[:, 1],
+        }
+        return data_frame(columns, "pole pair", range(1, len(pairs) + 1))
+
+    def plot(
+        self, outputs: Sequence[str] | None = None, inputs: Sequence[str] | None = None, band: Sequence[float] = ()
+    ) -> Figure:
+        """Gains over frequency.
+
+        Parameters
+        ----------
+        outputs, inputs
+            Names, in either form; None: all.
+        band
+            Lowest and highest frequency [Hz]; none: around the model's pole pairs.
+
+        Raises
+        ------
+        AbraceError
+            As in `select`, or if the band is none.
+        """
+        from abrace_core.signal_figure import gains
+
+        shown = self.select(outputs, inputs)
+        pairs = [frequency / (2 * np.pi) for frequency, _ in pole_table(self.poles())]
+        low, high = band or (min(pairs, default=1.0) / 3, 3 * max(pairs, default=10.0))
+        if not 0 < low < high < np.inf:
+            raise AbraceError(f"band {low:g} to {high:g} Hz, expected two frequencies above 0 that rise")
+        if self.sample_period:
+            high = min(high, 0.5 / self.sample_period)
+        frequency = np.geomspace(low, high, 2000)
+        return gains(frequency, shown.frequency_response(2 * np.pi * frequency), shown.outputs, shown.inputs)
+
     def to_control(self) -> control.StateSpace:
         """The model as python-control's StateSpace, its signals by their names.
 
@@ -153,7 +207,7 @@ class LinearModel:
         if any(self.input_delay):
             raise AbraceError(
                 "model has input delays, which python-control's StateSpace cannot hold: "
-                "sample it (abrace_core.discretization.discretize), its delays become states"
+                "sample it first (abrace.discretize), its delays become states"
             )
         dt = self.sample_period or 0
         return control.ss(self.a, self.b, self.c, self.d, dt, inputs=list(self.inputs), outputs=list(self.outputs))

@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from abrace_core import signals
+from abrace_core.tables import data_frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import pandas
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
 
@@ -56,6 +59,11 @@ class Run:
     clipped: NDArray[np.uint64] | None = None
     braces: tuple[int, ...] = ()
 
+    def __repr__(self) -> str:
+        rig = f"{self.floors} floors, {self.groups} brace group{'' if self.groups == 1 else 's'}"
+        rate, samples = 1 / self.sample_period, len(self.sequence)
+        return f"<Run {self.source}: {samples * self.sample_period:g} s at {rate:g} Hz, {rig}>"
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the channels of `outputs`."""
@@ -96,3 +104,37 @@ class Run:
         known = (*self.names, *self.command_names, signals.GROUND)
         columns = [*self.outputs.T, *self.command.T, self.ground_acceleration]
         return np.column_stack([columns[i] for i in signals.positions(names, known, f"{self.source}: no channel")])
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """All channels as columns [SI units, in `attrs`], by the time since the first sample [s].
+
+        Raises
+        ------
+        AbraceError
+            If pandas is not installed.
+        """
+        names = (*self.names, *self.command_names, signals.GROUND)
+        frame = data_frame(dict(zip(names, self.channels(names).T, strict=True)), "time [s]", self.time)
+        frame.attrs["units"] = {name: signals.unit(name) for name in names}
+        return frame
+
+    def plot(self, channels: Sequence[str] = ()) -> Figure:
+        """Time histories, an axis for each kind of quantity.
+
+        Parameters
+        ----------
+        channels
+            To draw, in either form; none: all.
+
+        Raises
+        ------
+        AbraceError
+            As in `channels`.
+        """
+        from abrace_core.signal_figure import time_histories
+
+        names = tuple(channels) or (*self.names, *self.command_names, signals.GROUND)
+        values = {
+            name: (column, signals.unit(name)) for name, column in zip(names, self.channels(names).T, strict=True)
+        }
+        return time_histories(self.time, values, self.source)

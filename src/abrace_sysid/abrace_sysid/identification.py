@@ -175,6 +175,8 @@ def identify(
             name: [len(run.outputs) * run.sample_period for run in data.runs]
             for name, data in (("table", from_table), ("command", from_commands[0]))
         },
+        "rig": tables[0].facts.get("rig", ""),
+        "sample_period": tables[0].sample_period,
         "method": {"table": from_table.responses[0].method, "command": from_commands[0].responses[0].method},
         "options": asdict(options),
     }

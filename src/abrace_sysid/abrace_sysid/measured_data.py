@@ -18,7 +18,8 @@ from abrace_core.errors import AbraceError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
+    import pandas
+    from numpy.typing import ArrayLike, NDArray
 
 EVEN = 0.01
 """Greatest departure of a time column from even steps, as a share of a step."""
@@ -103,7 +104,7 @@ class MeasuredData:
 
 
 def read_data(
-    path: Path | str,
+    path: Path | str | Mapping[str, ArrayLike] | pandas.DataFrame,
     inputs: Sequence[str],
     outputs: Sequence[str] = (),
     sample_rate: float = 0.0,
@@ -111,13 +112,13 @@ def read_data(
     units: Mapping[str, str] | None = None,
     hold: DataHold = "band",
 ) -> MeasuredData:
-    """Read a file of arrays.
+    """Read a file of arrays, or take arrays or a DataFrame.
 
     Parameters
     ----------
     path
         `.mat` (up to version 7), `.npz`, `.npy` or `.csv` with a line of names. A vector is a column of its name;
-        column i of a matrix M is M_i, from 1 on, of an `.npy` file just i.
+        column i of a matrix M is M_i, from 1 on, of an `.npy` file just i. Or arrays (samples,) by name, a DataFrame.
     inputs, outputs
         Names of columns, a rig's signals in either form (`signals.positions`); no outputs: all columns that are not
         named otherwise.
@@ -133,8 +134,11 @@ def read_data(
     AbraceError
         If the file cannot be read or has no such columns, columns differ in length, or times are not even.
     """
-    path = Path(path)
-    columns = _columns(path)
+    if isinstance(path, (str, Path)):
+        columns = _columns(Path(path))
+    else:
+        columns = {str(name): np.asarray(path[name], dtype=np.float64) for name in path}
+        path = "data"
     if (sample_rate > 0) == bool(time):
         raise AbraceError(f"{path}: sample_rate {sample_rate:g} Hz and time {time!r}, expected one of both")
     named = {signals.meaning(name) for name in (*inputs, time)}
@@ -230,7 +234,7 @@ def _csv_columns(path: Path) -> dict[str, NDArray[np.float64]]:
     return dict(zip(names, values.T, strict=True))
 
 
-def _period(path: Path, name: str, time: NDArray[np.float64]) -> float:
+def _period(path: Path | str, name: str, time: NDArray[np.float64]) -> float:
     """[s] between the values of a time column."""
     steps = np.diff(time)
     period = float(np.mean(steps)) if len(steps) else 0.0

@@ -6,6 +6,7 @@ A node's module holds its parameter table, its callbacks and
         return run(MyNode)
 """
 
+from abrace_core.installed import find_file
 from abrace_core.node.conventions import (
     DIAGNOSTICS,
     DISPLAY_PERIOD,
@@ -16,7 +17,6 @@ from abrace_core.node.conventions import (
     RCLError,
     rcl_message,
 )
-from abrace_core.node.installed import find_file
 from abrace_core.node.lifecycle import AUTOSTART, AbraceLifecycleNode
 from abrace_core.node.parameters import Parameter, declare
 from abrace_core.node.process import run

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import save_model, takes_models
-from abrace_lqg.proof.files import design_to_file, finite_or_null
+from abrace_lqg.proof.files import finite_or_null
+from abrace_lqg.proof.proven_design import design_to_file
 from abrace_lqg.weights import Weights, save_weights
 
 if TYPE_CHECKING:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_lqg.analysis.prediction import Excitation
-from abrace_lqg.proof.files import DRAWS, design_to_file
+from abrace_lqg.proof.files import DRAWS
 from abrace_lqg.proof.limits import OBJECTIONS, Limits
+from abrace_lqg.proof.proven_design import design_to_file
 from abrace_lqg.proof.table import table_lines
 from abrace_lqg.weights import load_weights
 

@@ -15,7 +15,7 @@ from abrace_plant.records.files import read_record
 from abrace_plant.records.reading import UNITS
 from abrace_plant.records.record import Record
 from abrace_plant.records.table_motion import RECORD_REMEDIES, SIGNAL_REMEDIES, check_motion
-from abrace_plant.records.treatment import BASELINES, Treatment, prepare
+from abrace_plant.records.treatment import BAND_LIMIT, BASELINES, Treatment, prepare
 from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ RECORD_PARAMETERS = [
     Parameter("time_scale", DEFAULT.time_scale, "played duration over the record's; 1.0: as recorded", minimum=0.001),
     Parameter("taper", DEFAULT.taper, "s, length of a linear taper at each end of a record; 0.0: none", minimum=0.0),
     Parameter("low_cut", DEFAULT.low_cut, "Hz, high-pass filter of a record; 0.0: none", minimum=0.0),
-    Parameter("band_limit", 25.0, "Hz, low-pass filter of a record; 0.0: none", minimum=0.0),
+    Parameter("band_limit", BAND_LIMIT, "Hz, low-pass filter of a record; 0.0: none", minimum=0.0),
     Parameter("peak_acceleration", DEFAULT.peak_acceleration, "m/s^2, PGA of a motion; 0.0: as recorded", minimum=0.0),
     Parameter("duration", DEFAULT.duration, "s to which a record is padded or cut; 0.0: whole", minimum=0.0),
 ]

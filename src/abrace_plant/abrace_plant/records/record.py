@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.errors import AbraceError
+from abrace_core.tables import data_frame
 
 if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
 
@@ -30,6 +33,25 @@ class Record:
     name: str
     sample_period: float
     acceleration: NDArray[np.float64]
+
+    def __repr__(self) -> str:
+        peak, seconds = np.abs(self.acceleration).max(), len(self.acceleration) * self.sample_period
+        return f"<Record {self.name}: {seconds:g} s, every {self.sample_period:g} s, peak {peak:.4g} m/s^2>"
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """(samples,) seconds since the first sample."""
+        return np.asarray(np.arange(len(self.acceleration)) * self.sample_period, dtype=np.float64)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The acceleration [m/s^2] by the time since the first sample [s]; an AbraceError without pandas."""
+        return data_frame({"acceleration": self.acceleration}, "time [s]", self.time)
+
+    def plot(self) -> Figure:
+        """The acceleration over time."""
+        from abrace_core.signal_figure import time_histories
+
+        return time_histories(self.time, {"acceleration": (self.acceleration, "m/s^2")}, self.name)
 
 
 def check_record(record: Record) -> None:

@@ -153,6 +153,10 @@ class Rig:
     interlocks: Mapping[str, Interlock] = field(default_factory=dict)
     table_dynamics: TableDynamics | None = None
 
+    def __repr__(self) -> str:
+        braces = " + ".join(str(count) for count in self.braces_in_group) or "no"
+        return f"<Rig {self.name}: {self.floors} floors, {braces} braces, {self.sample_rate:g} Hz>"
+
     @property
     def floors(self) -> int:
         """Number of floors."""

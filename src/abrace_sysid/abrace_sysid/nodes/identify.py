@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING, get_args
 from abrace_bags import read_runs
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import export_mat, save_model
 from abrace_core.node import AbraceNode, Parameter, run
 from abrace_sysid.data_identification import DataOptions, identify_data
 from abrace_sysid.data_results import write_data_results
-from abrace_sysid.distortion_results import write_distortion
 from abrace_sysid.figures import identification as figures
 from abrace_sysid.figures.data import figures_of_data
 from abrace_sysid.figures.poles import confidence
 from abrace_sysid.fitting.options import FIT_METHODS, IdentificationOptions
 from abrace_sysid.fitting.stabilization import stabilization
 from abrace_sysid.identification import Identification, identify
+from abrace_sysid.identification_results import write_identification
 from abrace_sysid.measured_data import DataHold, read_data, units_of
 from abrace_sysid.models.reduction import errors_by_order
-from abrace_sysid.pole_results import poles_text, write_poles
 from abrace_sysid.spectra.estimation import Method, TransferFunctionOptions
 from abrace_sysid.spectra.welch import Estimator
 from abrace_sysid.validity.judgement import judge, judge_failure
@@ -142,22 +140,7 @@ class Identify(AbraceNode):
         for warning in found.warnings:
             self.get_logger().warning(warning)
         output = Path(given.output)
-        for name, model in (("model", found.model), ("superposed", found.superposed), ("reduced", found.reduced)):
-            save_model(model, output / f"{name}.json", found.covariance if model is found.model else None)
-            if given.mat:
-                export_mat(model, output / f"{name}.mat")
-        pairs = {
-            "table": found.poles.table_pairs,
-            "command": found.poles.command_pairs,
-            "common": found.poles.common_pairs,
-        }
-        write_poles(pairs, output / "poles.json")
-        for test, values in pairs.items():
-            print(f"poles from {'both tests' if test == 'common' else f'the {test} test'} (rad/s, damping ratio):")
-            print(poles_text(values))
-        distortion = write_distortion((found.table, *found.commands), output / "distortion.json")
-        if distortion:
-            print(distortion)
+        print(write_identification(found, output, given.mat))
         progress("drawing", 1.0)
         self.draw(found, options, output)
         progress("judging", 1.0)

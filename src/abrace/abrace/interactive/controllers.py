@@ -1,0 +1,100 @@
+"""Models to controllers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from abrace.interactive.given import model_of, rig_of, weights_of
+from abrace.interactive.identification import Identified
+from abrace_core.errors import AbraceError
+from abrace_lqg.proof.limits import Limits
+from abrace_lqg.proof.proven_design import ProvenDesign, proven_design
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from abrace.interactive.given import AnyModel, AnyRig
+    from abrace_core.linear_model import LinearModel
+    from abrace_lqg.weights import Weights
+
+
+def design(
+    model: AnyModel,
+    weights: Weights | Path | str = "lqg3",
+    *,
+    rig: AnyRig | None = None,
+    check: Mapping[str, AnyModel] | None = None,
+    sample_period: float | None = None,
+    force_limit: float | Sequence[float] | None = None,
+    limits: Mapping[str, float] | None = None,
+    accept: Sequence[str] = (),
+) -> ProvenDesign:
+    """Design an LQG controller and prove it: margins, predicted responses, damping that each mode keeps.
+
+    Parameters
+    ----------
+    model
+        To design with. Of an identification that is its reduced model; the controller is then checked with the full
+        one, too, and with models drawn from its covariance.
+    weights
+        Weights, their file, or the name of some: `lqg1` to `lqg5`, `half` (half the response, on any rig).
+    rig
+        Which rig: its sample rate and the capacity of its braces; None: that of the tests that the model is from.
+    check
+        Further models to check with, by name.
+    sample_period
+        [s]; None: the rig's, or that of the tests.
+    force_limit
+        [N] of one brace, of every group or for each; None: the rig's.
+    limits
+        What the controller has to keep, by name: `gain_margin` [dB], `phase_margin` [degrees], `delay_margin` [s],
+        `disk_margin`, `damping_kept`.
+    accept
+        Names of objections in spite of which the controller is made.
+
+    Raises
+    ------
+    AbraceError
+        If model and weights give no controller, with each objection, or where rig and force limit are not known.
+    """
+    designed_with = model_of(model, design=True)
+    models = {"reduced" if isinstance(model, Identified) else "model": designed_with}
+    covariances = {}
+    if isinstance(model, Identified):
+        models["full"] = model.model
+        if model.found.covariance is not None:
+            covariances["full"] = model.found.covariance
+    models |= {name: model_of(each) for name, each in (check or {}).items()}
+    found, name = weights_of(weights)
+    period, limit = _of_rig(designed_with, rig, sample_period, force_limit)
+    return proven_design(
+        models,
+        weights=found,
+        weights_name=name,
+        sample_period=period,
+        force_limit=limit,
+        limits=Limits(**limits) if limits else None,
+        accept=accept,
+        covariances=covariances,
+    )
+
+
+def _of_rig(model: LinearModel, rig: AnyRig | None, period: float | None, force: Any) -> tuple[float, list[float]]:
+    """Sample period [s] and force limits (commands,) [N], as given, of the rig that was given, or of the model's."""
+    groups = len(model.inputs) - 1
+    period = period or (None if rig else model.provenance.get("sample_period"))
+    if period is None or force is None:
+        name = rig or model.provenance.get("rig")
+        try:
+            if not name:
+                raise AbraceError("the model does not say of which rig it is")
+            known = rig_of(name)
+        except AbraceError as error:
+            missing = " and ".join(
+                what for what, value in (("force_limit [N]", force), ("sample_period [s]", period)) if value is None
+            )
+            raise AbraceError(f"design: {error}: expected rig (its name or file), or {missing}") from error
+        period = period or 1 / known.sample_rate
+        force = known.capacity.tolist() if force is None else force
+    return float(period), [float(force)] * groups if isinstance(force, (int, float)) else list(force)

@@ -1,0 +1,41 @@
+"""Files that packages install: rigs, weights and campaigns, by their names. No ROS is needed to find them."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+from abrace_core.errors import AbraceError
+
+
+def find_file(name: str, package: str, folder: str, ending: str, kind: str) -> Path:
+    """A file by its path, or by its name among the files that a package installs.
+
+    A path has a "/" or the `ending`. Installed files are in a `folder` of the share directory of the `package`, or of
+    its source; errors call them a `kind`.
+
+    Raises
+    ------
+    AbraceError
+        If there is no such file; names the installed ones.
+    """
+    if name.endswith(ending) or "/" in name:
+        if not Path(name).is_file():
+            raise AbraceError(f"{kind} file {name}: no such file")
+        return Path(name)
+    installed = _installed(package, folder)
+    path = installed / f"{name}{ending}"
+    if not path.is_file():
+        names = ", ".join(sorted(entry.name.removesuffix(ending) for entry in installed.glob(f"*{ending}")))
+        raise AbraceError(f"{kind} {name!r}: unknown, expected a file ending in {ending} or one of {names}")
+    return path
+
+
+def _installed(package: str, folder: str) -> Path:
+    """A folder of a package's share directory, which is beside the Python that it is installed in, or of its source."""
+    found = importlib.util.find_spec(package)
+    if found is None or found.origin is None:
+        raise AbraceError(f"package {package}: not found, expected it on the Python path")
+    modules = Path(found.origin).resolve().parent
+    shared = [parent / "share" / package / folder for parent in modules.parents]
+    return next((place for place in shared if place.is_dir()), modules.parent / folder)

@@ -1,0 +1,229 @@
+"""A controller designed and proven at once, from models or from their files, to a controller file and the proof's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core.controller_file import Controller, save_controller
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import load_covariance, takes_models
+from abrace_core.model_ensemble import draw_models
+from abrace_core.tables import data_frame
+from abrace_lqg.analysis.prediction import Excitation
+from abrace_lqg.design import design
+from abrace_lqg.proof.checks import prove, require
+from abrace_lqg.proof.figures import loop_figure, pole_figure, prediction_figure
+from abrace_lqg.proof.files import DRAWS, load_models, save_proof
+from abrace_lqg.proof.table import table_lines
+from abrace_lqg.scaling import scaled_weights
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import pandas
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from abrace_core.linear_model import LinearModel
+    from abrace_lqg.proof.checks import Proof
+    from abrace_lqg.proof.limits import Limits
+    from abrace_lqg.weights import Weights
+
+FIGURES = ("loop", "poles", "prediction")
+
+
+@dataclass(frozen=True)
+class ProvenDesign:
+    """A controller with the proof that it may be used.
+
+    Parameters
+    ----------
+    controller
+        As its file has it.
+    proof
+        What it will do with each model.
+    models
+        By name: that of the design, then those that it was checked with.
+    ensembles
+        Models drawn about some of them, by name.
+    """
+
+    controller: Controller
+    proof: Proof
+    models: Mapping[str, LinearModel]
+    ensembles: Mapping[str, Sequence[LinearModel]]
+
+    def __repr__(self) -> str:
+        law = self.controller.law
+        signals = f"{', '.join(law.inputs)} to {', '.join(law.outputs)}"
+        return f"<Design {self.controller.name}: {signals}; {self.proof.summary()}>"
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Predicted rms with zero command and controlled [SI units], and their ratio, of each quantity.
+
+        The prediction is that of the design's own model under `proof.excitation`; an AbraceError without pandas.
+        """
+        found = self.proof.models[0].prediction
+        without, controlled = np.array(list(found.values())).T
+        ratio = np.divide(controlled, without, out=np.full(len(found), np.nan), where=without > 0)
+        columns = {"zero command": without, "controlled": controlled, "ratio": ratio}
+        return data_frame(columns, "rms of", list(found))
+
+    def plot(self, what: str = "loop") -> Figure:
+        """A figure of the proof.
+
+        Parameters
+        ----------
+        what
+            "loop": Nichols chart, gain and sensitivity; "poles": with zero command and controlled; "prediction": rms of
+            every quantity.
+
+        Raises
+        ------
+        AbraceError
+            If it is none of these.
+        """
+        if what not in FIGURES:
+            raise AbraceError(f"figure {what!r} of a design: expected one of {', '.join(FIGURES)}")
+        if what == "loop":
+            return loop_figure(self.proof, self.models, self.controller.law, self.ensembles)
+        return pole_figure(self.proof) if what == "poles" else prediction_figure(self.proof)
+
+    def save(self, path: Path | str) -> list[Path]:
+        """Write the controller file, for the node `controller`, and the proof's files beside it; returns their paths.
+
+        Raises
+        ------
+        AbraceError
+            If the name of the file does not end in .yaml, or it cannot be written.
+        """
+        if Path(path).suffix != ".yaml":
+            raise AbraceError(f"controller file {path}: expected a name that ends in .yaml")
+        controller = replace(self.controller, name=Path(path).stem)
+        written = save_proof(self.proof, self.models, controller.law, path, self.ensembles)
+        save_controller(controller, path, table_lines(self.proof))
+        return [Path(path), *written]
+
+
+@takes_models
+def proven_design(
+    models: Mapping[str, LinearModel],
+    *,
+    weights: Weights,
+    weights_name: str,
+    sample_period: float,
+    force_limit: Sequence[float],
+    origin: str = "",
+    excitation: Excitation | None = None,
+    limits: Limits | None = None,
+    accept: Sequence[str] = (),
+    covariances: Mapping[str, NDArray[np.float64]] | None = None,
+    draws: int = DRAWS,
+    draw_seed: int = 0,
+) -> ProvenDesign:
+    """Design a controller and prove it.
+
+    Parameters
+    ----------
+    models
+        By name: the model to design with, then the check models.
+    weights, weights_name
+        Weights, and their name in the controller file.
+    sample_period
+        [s].
+    force_limit
+        (commands,) [N].
+    origin
+        Of the model to design with; empty: its name.
+    excitation
+        For which rms values are predicted; None: `Excitation()`.
+    limits
+        What the controller has to keep; None: `Limits()`.
+    accept
+        Names of objections in spite of which the controller is made.
+    covariances
+        Of the parameters of some of the models, by name.
+    draws, draw_seed
+        Models drawn about each of these, and their seed; 0: none.
+
+    Raises
+    ------
+    AbraceError
+        As in `design` and `prove`, or with the objections that are not accepted.
+    """
+    name, model = next(iter(models.items()))
+    weights = scaled_weights(model, weights, sample_period, force_limit, excitation or Excitation())
+    designed = design(model, weights, sample_period)
+    ensembles = {}
+    for known, covariance in (covariances or {}).items() if draws else ():
+        try:
+            ensembles[known] = draw_models(models[known], covariance, draws, draw_seed)
+        except AbraceError as error:
+            raise AbraceError(f"model {known}: {error}") from error
+    proof = require(prove(designed, models, excitation, limits, ensembles), accept)
+    bags = ", ".join(map(str, model.provenance.get("bags", {}).values())) or "unknown bags"
+    controller = Controller(
+        name=weights_name.removesuffix(".yaml"),
+        law=designed.controller,
+        correction=designed.correction,
+        prediction=designed.prediction,
+        force_limit=np.array(force_limit),
+        model=f"{origin or name}, {model.order} states, from {bags}",
+        weights=f"{weights_name}: {weights}",
+        margins=proof.summary(),
+    )
+    return ProvenDesign(controller, proof, models, ensembles)
+
+
+def design_to_file(
+    model_files: Sequence[str],
+    output: Path | str,
+    *,
+    weights: Weights,
+    weights_name: str,
+    sample_period: float,
+    force_limit: Sequence[float],
+    excitation: Excitation | None = None,
+    limits: Limits | None = None,
+    accept: Sequence[str] = (),
+    draws: int = DRAWS,
+    draw_seed: int = 0,
+) -> tuple[Proof, Controller, list[Path]]:
+    """Design a controller, prove it, and write it with its proof; nothing is written if the design is refused.
+
+    Parameters
+    ----------
+    model_files
+        The model to design with, then the check models; about those whose file has a covariance others are drawn.
+    output
+        The controller file NAME.yaml.
+    weights, weights_name, sample_period, force_limit, excitation, limits, accept, draws, draw_seed
+        As in `proven_design`.
+
+    Returns
+    -------
+    proof, controller, files
+        The proof, the controller, and the paths of the written files.
+    """
+    models = load_models(model_files)
+    known = {name: load_covariance(path) for name, path in zip(models, model_files, strict=True) if draws}
+    proven = proven_design(
+        models,
+        weights=weights,
+        weights_name=weights_name,
+        sample_period=sample_period,
+        force_limit=force_limit,
+        origin=model_files[0],
+        excitation=excitation,
+        limits=limits,
+        accept=accept,
+        covariances={name: covariance for name, covariance in known.items() if covariance is not None},
+        draws=draws,
+        draw_seed=draw_seed,
+    )
+    written = proven.save(output)
+    return proven.proof, replace(proven.controller, name=Path(output).stem), written

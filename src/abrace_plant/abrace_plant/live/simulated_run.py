@@ -1,0 +1,79 @@
+"""A whole test of the simulated rig, in lockstep and without ROS: what the node `plant` would publish, as a Run.
+
+The parts are the node's own: limits of braces and table, sensors, interlocks. So a test is the same here as in the
+graph, number by number.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core.run import Run
+from abrace_core.safety.rig_safety import RigSafety
+from abrace_plant.devices.simulated import SimulatedRig
+from abrace_plant.live.loop import RigLoop, rig_outputs
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from abrace_plant.rig.model import Rig
+
+TIMEOUT, LATE, NUMBER = 0.02, 10, 1
+"""As the node's defaults: seconds without an answer, samples late in a row; and the number of the run."""
+
+
+def simulated_run(
+    rig: Rig,
+    ground: NDArray[np.float64],
+    force: Callable[[int, list[float]], list[float]],
+    seed: int = 1,
+    source: str = "simulated",
+) -> Run:
+    """A test of a rig that starts at rest.
+
+    Parameters
+    ----------
+    rig
+        The rig.
+    ground
+        (samples,) acceleration of the table [m/s^2], commanded in answer to each sample.
+    force
+        Gives the force of one brace of each group (groups,) [N] in answer to a sample: its number, and
+        [displacements, strokes, accelerations, forces] as measured, a force being the mean of its group's.
+    seed
+        Of the sensors' noise.
+    source
+        What the Run is called.
+
+    Returns
+    -------
+    Run
+        Its facts have the rig's name and, where the rig was stopped by a fault, `warnings` with the cause.
+    """
+    safety = RigSafety()
+    safety.configure(rig_outputs(rig), 1 / rig.sample_rate)
+    safety.activate()
+    loop = RigLoop(rig, SimulatedRig(rig, seed, by_the_clock=False), safety, TIMEOUT, LATE, NUMBER, lockstep=True)
+    braces, others = rig.braces_in_group, 2 * rig.floors + rig.groups
+    ends = np.cumsum([others, *braces]).tolist()
+    groups = list(zip(ends, ends[1:], braces, strict=False))
+    outputs, table = np.zeros((len(ground), others + rig.groups)), np.zeros(len(ground))
+    command, clipped = np.zeros((len(ground), rig.groups)), np.zeros(len(ground), dtype=np.uint64)
+    cause = ""
+    for k, acceleration in enumerate(ground.tolist()):
+        sample = loop.step()
+        reading = sample.reading
+        z = reading[:others] + [sum(reading[first:last]) / count for first, last, count in groups]
+        outputs[k], table[k], command[k], clipped[k] = z, reading[-1], sample.command, sample.head.clipped
+        cause = cause or sample.cause
+        loop.receive_ground_acceleration(sample.stamp, acceleration)
+        loop.receive_command(NUMBER, k, force(k, z), "")
+    facts = {"rig": rig.name, "sample_period": repr(1 / rig.sample_rate), "sensor_seed": str(seed)}
+    warnings = {"warnings": [f"{source}: the rig was stopped: {cause}"]} if cause else {}
+    sequence = np.arange(len(ground), dtype=np.uint64)
+    size = (rig.floors, rig.groups)
+    return Run(source, 1 / rig.sample_rate, sequence, *size, outputs, table, command, facts | warnings, clipped, braces)

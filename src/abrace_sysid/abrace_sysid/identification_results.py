@@ -1,0 +1,49 @@
+"""What an identification leaves: its models, poles and nonlinear distortion as files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from abrace_core.linear_model import export_mat, save_model
+from abrace_sysid.distortion_results import write_distortion
+from abrace_sysid.pole_results import poles_text, write_poles
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from abrace_sysid.identification import Identification
+
+
+def write_identification(found: Identification, output: Path, mat: bool = False) -> str:
+    """Write model.json, superposed.json, reduced.json, poles.json and, of multisines, distortion.json.
+
+    Parameters
+    ----------
+    found
+        The identification.
+    output
+        Folder.
+    mat
+        Whether the models are written as MATLAB files too.
+
+    Returns
+    -------
+    str
+        The poles, and the worst distortion, in words.
+    """
+    for name, model in (("model", found.model), ("superposed", found.superposed), ("reduced", found.reduced)):
+        save_model(model, output / f"{name}.json", found.covariance if model is found.model else None)
+        if mat:
+            export_mat(model, output / f"{name}.mat")
+    pairs = {
+        "table": found.poles.table_pairs,
+        "command": found.poles.command_pairs,
+        "common": found.poles.common_pairs,
+    }
+    write_poles(pairs, output / "poles.json")
+    said = []
+    for test, values in pairs.items():
+        said.append(f"poles from {'both tests' if test == 'common' else f'the {test} test'} (rad/s, damping ratio):")
+        said.append(poles_text(values))
+    said.append(write_distortion((found.table, *found.commands), output / "distortion.json"))
+    return "\n".join(filter(None, said))

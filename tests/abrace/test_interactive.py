@@ -1,0 +1,229 @@
+"""`import abrace`: notebook and page are run where there is no ROS, and what they give is looked at."""
+
+import inspect
+import json
+import pickle
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pandas
+import pytest
+from matplotlib.figure import Figure
+
+import abrace
+
+ROOT = Path(__file__).parents[2]
+RIG = "ncree_three_storey"
+NOTEBOOK, PAGE = ROOT / "docs/from_bag_to_controller.ipynb", ROOT / "docs/python.md"
+WITHOUT_ROS = """
+import ast, pickle, sys
+
+class NoRos:
+    def find_spec(self, name, *_):
+        if name.split(".")[0] in ("rclpy", "rcl_interfaces", "ament_index_python", "abrace_interfaces", "std_msgs"):
+            raise ImportError(f"no ROS: {name}")
+
+sys.meta_path.insert(0, NoRos())
+import abrace
+from bag_of_run import write_bag
+
+write_bag(abrace.simulate("ncree_three_storey", "white_noise", duration=64.0), "bags/table_noise")
+write_bag(abrace.simulate("ncree_three_storey", command="white_noise", duration=64.0), "bags/command_noise")
+names, done = {}, set()
+for statement in ast.parse(open("code.py").read()).body:
+    if ast.dump(statement) not in done:  # the page begins as the notebook does
+        exec(compile(ast.Module([statement], []), "code.py", "exec"), names)
+    done.add(ast.dump(statement))
+kept = ("run", "found", "designed", "free", "controlled", "modes", "peaks", "check")
+pickle.dump({name: names[name] for name in kept}, open("names.pickle", "wb"))
+"""
+"""Makes the bags of the notebook, runs it and the page where nothing of ROS can be imported, and leaves its names."""
+
+
+def code_of_notebook() -> list[str]:
+    """Its lines; those for Jupyter alone and empty ones left out."""
+    cells = [cell for cell in json.loads(NOTEBOOK.read_text())["cells"] if cell["cell_type"] == "code"]
+    assert not any(cell["outputs"] for cell in cells), "outputs are not kept"
+    lines = [line for cell in cells for line in "".join(cell["source"]).splitlines()]
+    return [line for line in lines if line and not line.startswith("%")]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Where the notebook was run, and then the page."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    page = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    (folder / "code.py").write_text("\n".join([*code_of_notebook(), *page]))
+    ran = subprocess.run([sys.executable, "-c", WITHOUT_ROS], cwd=folder, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def notebook(folder) -> dict[str, Any]:
+    """The names that the notebook and the page leave."""
+    return pickle.loads((folder / "names.pickle").read_bytes())
+
+
+def test_the_notebook_goes_from_bags_to_a_controller_in_20_lines(notebook, folder):
+    assert len(code_of_notebook()) <= 20
+    top = {name: notebook[name].to_pandas()["x3"].std() for name in ("free", "controlled")}
+    assert top["controlled"] < 0.4 * top["free"]
+    assert abrace.load_controller(folder / "results/lqg3.yaml").law.inputs == ("a1", "a2", "a3")
+    assert (folder / "results/lqg3_proof.json").is_file()
+
+
+def test_every_result_prints_in_one_line(notebook):
+    of = {name: repr(notebook[name]) for name in ("run", "found", "designed", "controlled")}
+    assert of["run"] == "<Run bags/table_noise: 64 s at 500 Hz, 3 floors, 1 brace group>"
+    assert of["found"].startswith("<Identified: 14 states, reduced to 8, from bags/table_noise, bags/command_noise: ")
+    assert of["designed"].startswith("<Design lqg3: a1, a2, a3 to U; gain margin ")
+    more = [abrace.load_rig(RIG), abrace.load_record("el_centro"), notebook["found"].model, abrace.characterize(RIG)]
+    more += [notebook["designed"].controller, abrace.validate(notebook["controlled"], notebook["found"])]
+    for text in (*of.values(), *map(repr, more)):
+        assert re.fullmatch(r"<[^\n]{20,250}>", text)
+    assert repr(more[0]) == "<Rig ncree_three_storey: 3 floors, 2 braces, 500 Hz>"
+
+
+def test_tables_are_what_was_measured_and_found(notebook):
+    run, found = notebook["run"], notebook["found"]
+    table = run.to_pandas()
+    assert list(table) == ["x1", "x2", "x3", "xf", "a1", "a2", "a3", "f", "U", "w"]
+    np.testing.assert_array_equal(table["a3"], run.channels(["acceleration[2]"])[:, 0])
+    assert table.index[-1] == pytest.approx(63.998)
+    poles = found.to_pandas()
+    assert poles["frequency [Hz]"].iloc[0] == pytest.approx(1.17186, rel=1e-3)
+    assert (poles["frequency low"] < poles["frequency [Hz]"]).all()
+    assert (poles["frequency [Hz]"] < poles["frequency high"]).all()
+    predicted = notebook["designed"].to_pandas()
+    assert predicted.loc["x3", "ratio"] == pytest.approx(
+        predicted.loc["x3", "controlled"] / predicted.loc["x3", "zero command"]
+    )
+    assert abrace.characterize(RIG).to_pandas().index.tolist() == ["bare"] * 3 + ["zero command"] * 3 + ["further"] * 3
+    assert found.model.to_pandas()["damping ratio"].between(0, 0.1).all()
+
+
+def test_every_figure_is_a_matplotlib_figure(notebook):
+    found, designed = notebook["found"], notebook["designed"]
+    for figure in (
+        *(found.plot(what) for what in ("transfer_functions", "commands", "confidence", "validity", "reduction")),
+        *(designed.plot(what) for what in ("loop", "poles", "prediction")),
+        notebook["run"].plot(),
+        found.model.plot(["x3"], band=(0.5, 5.0)),
+        abrace.load_record("el_centro").plot(),
+        abrace.characterize(RIG).plot(),
+        abrace.validate(notebook["controlled"], found).plot(["U"]),
+    ):
+        assert isinstance(figure, Figure)
+        assert figure.axes
+    for thing in (found, designed):
+        with pytest.raises(abrace.AbraceError, match=r"^figure 'poels' of .*: expected one of "):
+            thing.plot("poels")
+
+
+def test_a_model_simulates_what_the_rig_does_without_its_noise(notebook, tmp_path):
+    quake, found, designed = notebook["controlled"], notebook["found"], notebook["designed"]
+    of_model = abrace.simulate(found, quake, controller=designed)
+    assert (of_model.names, len(of_model.outputs)) == (quake.names, len(quake.outputs))
+    # the node's force fades in within half a second
+    assert np.corrcoef(of_model.channels(["x3"])[:, 0], quake.channels(["x3"])[:, 0])[0, 1] > 0.999
+    check = abrace.validate(quake, found, controller=designed)
+    assert check.to_pandas().loc["x3", "correlation"] > 0.999
+    saved = abrace.validate(quake, found.save(tmp_path / "model"), controller=designed)
+    assert saved.to_pandas().equals(check.to_pandas()), "the folder of the results is as good as the object"
+
+
+def test_models_of_python_control_are_taken(notebook):
+    found, quake = notebook["found"], notebook["controlled"]
+    model = abrace.load_rig(RIG).model.to_control()
+    assert abrace.validate(quake, model).to_pandas().loc["x3", "correlation"] > 0.999
+    sampled = abrace.discretize(found.reduced, 0.002).to_control()
+    assert isinstance(sampled, control.StateSpace)
+    assert sampled.input_labels == ["w", "U"]
+
+
+def test_frames_are_identified(notebook):
+    frame = notebook["run"].to_pandas()
+    assert isinstance(frame, pandas.DataFrame)
+    with pytest.raises(abrace.AbraceError, match=r"^data: no column 'ground', 'x9', it has x1, x2"):
+        abrace.identify_data(frame, ["ground"], ["x1", "x9"], sample_rate=500.0)
+
+
+SHORT = {"record": "el_centro", "peak_acceleration": 0.98, "duration": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: abrace.load_rig("ncree"),
+            "rig 'ncree': unknown, expected a file ending in .yaml or one of five_storey",
+        ),
+        (lambda: abrace.load_record("elcentro"), "no such file, and no such name (names: el_centro"),
+        (lambda: abrace.simulate(RIG), "simulate: neither record nor command, expected one of both"),
+        (lambda: abrace.simulate(RIG, **SHORT, lowcut=0.1, taber=1.0), "simulate: lowcut, taber: unknown, expected a"),
+        (lambda: abrace.simulate(RIG, "el_centro", peak_acceleration=30.0), "is more than the table has: "),
+        (lambda: abrace.simulate(RIG, command=np.zeros((9, 2))), "command of shape (9, 2), expected (samples, 1)"),
+        (lambda: abrace.simulate(RIG, **SHORT, command="noise"), "command 'noise', expected an array or 'white_noise'"),
+        (lambda: abrace.simulate(RIG, **SHORT, command=[0.0], controller="lqg.yaml"), "expected one of both"),
+        (lambda: abrace.design(abrace.load_rig(RIG), "lqg9"), "weights 'lqg9': unknown, expected a file"),
+        (
+            lambda: abrace.design(abrace.load_rig(RIG).model.select(inputs=["w", "U"]).to_control()),
+            "expected rig (its name or file), or force_limit [N] and sample_period [s]",
+        ),
+        (lambda: abrace.validate("nowhere", RIG), "nowhere: "),
+        (lambda: abrace.validate(abrace.simulate(RIG, **SHORT), 3), "model 3: expected a model, a file (.json)"),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_line(call, message):
+    with pytest.raises(abrace.AbraceError) as error:
+        call()
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_rig_that_was_stopped_is_a_warning():
+    class Runaway:
+        def begin(self, floors, groups, sample_period): ...
+
+        def force(self, sample):
+            return 24e3 * np.sign(sample.displacement[0] - 1e-4)
+
+    with pytest.warns(UserWarning, match="the rig was stopped: "):
+        run = abrace.simulate(RIG, "el_centro", peak_acceleration=0.98, duration=6.0, controller=Runaway())
+    assert run.command[-1] == 0
+
+
+def test_the_page_runs_where_there_is_no_ros(notebook, folder):
+    peaks = notebook["peaks"]
+    assert peaks["LQG3"] < 0.6 * peaks["zero command"]
+    assert peaks["damper"] < 0.8 * peaks["zero command"]
+    found = notebook["modes"].to_pandas()["frequency [Hz]"]
+    assert found.tolist() == pytest.approx([1.17186, 3.64993, 6.04221], rel=1e-3)
+    assert (folder / "validity.png").stat().st_size > 10_000
+
+
+def test_the_page_has_every_function_with_its_arguments():
+    (block,) = re.findall(r"```text\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    stated = dict(re.findall(r"^(\w+)(\(.*\))$", block, re.MULTILINE))
+    functions = {name: getattr(abrace, name) for name in abrace.__all__ if inspect.isroutine(getattr(abrace, name))}
+    for name, function in functions.items():
+        parameters = inspect.signature(function).parameters.values()
+        bare = [each.replace(annotation=inspect.Parameter.empty) for each in parameters]
+        assert stated.pop(name) == str(inspect.Signature(bare)), name
+    assert not stated
+
+
+def test_the_import_costs_nothing_until_a_name_is_used():
+    code = (
+        "import sys, abrace; print(*sorted({'numpy', 'scipy', 'pydantic', 'matplotlib', 'pandas'} & set(sys.modules)))"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == ""
+    assert set(abrace.__all__) <= set(dir(abrace))
+    assert all(getattr(abrace, name) is not None for name in abrace.__all__)
