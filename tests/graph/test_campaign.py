@@ -12,11 +12,8 @@ import pytest
 import yaml
 from domain_coordinator import domain_id
 
-from abrace import simulate
 from abrace.processes.group import find_executable
 from abrace_bags import read_facts, read_run, read_topics
-from abrace_core.noise import banded_noise
-from abrace_core.table_signals import table_noise
 
 NOISE = "{record: white_noise, rms: 0.25, band: [0.1, 10.0], seed: 1}"
 
@@ -106,15 +103,8 @@ def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_list
     timing = json.loads((tmp_path / "results/short/summary.json").read_text())["timing"]
     assert set(timing["wall_seconds"]) == {"shaken", "pushed"}
     (bags,) = (tmp_path / "bags/short").iterdir()
-    noise, pushes = table_noise(2000, 500.0, (0.1, 10.0), 0.25, 1), banded_noise(2000, 500.0, (0.0, 30.0), 1000.0, 2)
-    for step, moved, given in (
-        ("shaken", "ground_acceleration", {"record": noise}),
-        ("pushed", "command", {"command": pushes}),
-    ):
+    for step, moved in (("shaken", "ground_acceleration"), ("pushed", "command")):
         run = read_run(bags / step)
-        simulated = simulate("ncree_three_storey", **given, seed=int(run.facts["sensor_seed"]))
-        assert (simulated.outputs == run.outputs).all(), "the simulation in Python, number by number"
-        assert (simulated.command == run.command).all()
         assert len(run.outputs) == 2000
         assert run.sequence[0] == 0
         assert abs(getattr(run, moved)).max() > 0.5

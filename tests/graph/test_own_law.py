@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from abrace import simulate
 from abrace.processes.parameter_file import parameter_file
 from abrace_core.own_law import GuardedLaw
 from abrace_interfaces.msg import BraceCommand, Response
@@ -60,6 +61,9 @@ def test_the_example_answers_every_sample_with_its_law(graph, start_law):
     wanted = [law.force(number, z, 0) for number, z in enumerate(measured)]
     np.testing.assert_allclose([list(command.force) for command in commands], wanted, rtol=1e-12)
     assert np.abs(wanted).max() > 5000.0
+    motion = {"record": "el_centro", "peak_acceleration": 0.98, "duration": 9.0}
+    simulated = simulate("ncree_three_storey", **motion, controller=skyhook(damping=90.0e3)).outputs[:4000]
+    np.testing.assert_array_equal(simulated, measured, err_msg="the same test in Python")
     assert graph.stop("skyhook") == 0, graph.output_of("skyhook")
 
 

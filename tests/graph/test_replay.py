@@ -14,11 +14,13 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from abrace_bags import DEFAULT_QOS, BagWriter, message_definition, read_topics
+from abrace import simulate
+from abrace_bags import DEFAULT_QOS, BagWriter, message_definition, read_run, read_topics
 from abrace_bags.nodes.replay import Replay
 from abrace_bags.raw import read_raw
 from abrace_core.controller_file import Controller, save_controller
 from abrace_core.node import TRANSIENT_LOCAL_QOS
+from abrace_core.table_signals import table_noise
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
@@ -104,6 +106,15 @@ def texts(tmp_path: Path) -> Path:
         for k in range(10):
             bag.write(note, text(f"words {k}"), 10**9 + k * STEP, 10**9)
     return tmp_path / "texts"
+
+
+def test_the_same_test_in_python_gives_every_recorded_number(run: tuple[Path, str], controller: Path) -> None:
+    recorded = read_run(run[0])
+    noise = table_noise(SAMPLES, 500.0, (0.5, 10.0), 0.3, 1)
+    simulated = simulate("ncree_three_storey", noise, controller=controller, seed=3)
+    for name in ("outputs", "ground_acceleration", "command", "clipped"):
+        np.testing.assert_array_equal(getattr(simulated, name), getattr(recorded, name), err_msg=name)
+    assert np.abs(recorded.command).max() == LIMIT, "much of what it wants is cut"
 
 
 def test_a_controller_answers_the_recorded_responses_with_the_recorded_commands_to_the_last_bit(

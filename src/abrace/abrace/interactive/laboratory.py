@@ -172,7 +172,7 @@ def simulate(
     command: ArrayLike | str | None = None,
     peak_acceleration: float = 0.0,
     duration: float = 0.0,
-    seed: int = 1,
+    seed: int = 0,
     sample_period: float | None = None,
     **treatment: Any,
 ) -> Run:
@@ -198,7 +198,7 @@ def simulate(
     duration
         [s] to which it is padded or cut, or of the noise; 0: the whole record.
     seed
-        Of noise and sensors.
+        Of the sensors; white noise has the next ones, as the nodes have it by default.
     sample_period
         [s] of a simulated model; None: that of the controller, or of the tests that the model was identified from.
     treatment
@@ -267,7 +267,7 @@ def _ground(record: Any, rate: float, fields: dict[str, Any], seed: int) -> tupl
     if record is None:
         return None, "command"
     if isinstance(record, str) and record == WHITE_NOISE:
-        return table_noise(round(fields["duration"] * rate), rate, **TABLE_NOISE, seed=seed), WHITE_NOISE
+        return table_noise(round(fields["duration"] * rate), rate, **TABLE_NOISE, seed=seed + 1), WHITE_NOISE
     if isinstance(record, Run):
         if abs(record.sample_period * rate - 1) > ROUNDING:
             raise AbraceError(f"{record.source}: sampled at {1 / record.sample_period:g} Hz, expected {rate:g} Hz")
@@ -289,7 +289,7 @@ def _commands(
     if isinstance(command, str):
         if command != WHITE_NOISE:
             raise AbraceError(f"simulate: command {command!r}, expected an array or {WHITE_NOISE!r}")
-        noise = [banded_noise(round(duration * rate), rate, **COMMAND_NOISE, seed=seed + 1 + j) for j in range(groups)]
+        noise = [banded_noise(round(duration * rate), rate, **COMMAND_NOISE, seed=seed + 2 + j) for j in range(groups)]
         return np.column_stack(noise)
     forces = np.asarray(command, dtype=np.float64)
     forces = forces[:, None] if forces.ndim == 1 else forces

@@ -1,0 +1,48 @@
+"""A test of the simulated rig without ROS; that it is the nodes' own is in tests/graph/test_replay.py."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from abrace_plant.live.simulated_run import simulated_run
+from abrace_plant.rig.file import load_rig
+
+CONFIG = Path(__file__).parents[2] / "src/abrace_plant/config"
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_rig(CONFIG / "five_storey.yaml")
+
+
+def test_each_group_gives_its_stroke_and_the_mean_of_its_braces(rig):
+    seen = []
+
+    def force(number, z):
+        seen.append((number, z))
+        return [1000.0, -500.0]
+
+    run = simulated_run(rig, np.zeros(500), force)
+    assert run.names[-2:] == ("f1", "f2")
+    assert run.braces == (2, 1)
+    np.testing.assert_array_equal(run.command[2:], [[1000.0, -500.0]] * 498)
+    assert run.channels(["f1", "f2"])[-1] == pytest.approx([1000.0, -500.0], rel=0.2)
+    assert [number for number, _ in seen] == list(range(500))
+    np.testing.assert_array_equal([z for _, z in seen], run.outputs)
+    assert not run.clipped.any()
+
+
+def test_another_seed_is_other_noise_and_the_same_seed_the_same(rig):
+    first, again, other = (simulated_run(rig, np.zeros(50), lambda *_: [0.0, 0.0], seed).outputs for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any(axis=0).all()
+
+
+def test_a_table_beyond_its_sensor_stops_the_rig_and_the_run_says_so(rig):
+    pulse = np.concatenate([np.zeros(100), np.full(100, 30.0), np.zeros(200)])
+    run = simulated_run(rig, pulse, lambda *_: [0.0, 0.0], source="pulse")
+    (warning,) = run.facts["warnings"]
+    assert warning.startswith("pulse: the rig was stopped: ")
+    assert run.clipped_samples
+    assert abs(run.ground_acceleration[-1]) < 0.1
