@@ -147,6 +147,15 @@ def test_models_of_python_control_are_taken(notebook):
     assert sampled.input_labels == ["w", "U"]
 
 
+def test_an_ambient_test_gives_the_modes_of_the_building(notebook):
+    modes = abrace.identify_ambient(notebook["run"], band=(0.5, 8.0))
+    found = modes.to_pandas()["frequency [Hz]"]
+    assert len(found) >= 2, "64 s are short"
+    assert all(min(abs(value / true - 1) for true in (1.17186, 3.64993, 6.04221)) < 0.01 for value in found)
+    assert repr(modes).endswith(" Hz, from 64 s of a1, a2, a3>")
+    assert isinstance(modes.plot(), Figure)
+
+
 def test_frames_are_identified(notebook):
     frame = notebook["run"].to_pandas()
     assert isinstance(frame, pandas.DataFrame)

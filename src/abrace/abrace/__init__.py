@@ -18,8 +18,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from abrace.interactive.controllers import design
-    from abrace.interactive.identification import identify, identify_data, validate
-    from abrace.interactive.laboratory import characterize, load_record, load_rig, read_run, simulate
+    from abrace.interactive.data import identify_ambient, identify_data
+    from abrace.interactive.identification import identify
+    from abrace.interactive.laboratory import characterize, load_record, load_rig, read_run
+    from abrace.interactive.simulation import simulate
+    from abrace.interactive.validation import validate
+    from abrace_bags import read_runs
     from abrace_core.controller_file import Controller, load_controller
     from abrace_core.discretization import discretize
     from abrace_core.errors import AbraceError
@@ -30,8 +34,12 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "abrace.interactive.controllers": ("design",),
-    "abrace.interactive.identification": ("identify", "identify_data", "validate"),
-    "abrace.interactive.laboratory": ("characterize", "load_record", "load_rig", "read_run", "simulate"),
+    "abrace.interactive.data": ("identify_ambient", "identify_data"),
+    "abrace.interactive.identification": ("identify",),
+    "abrace.interactive.laboratory": ("characterize", "load_record", "load_rig", "read_run"),
+    "abrace.interactive.simulation": ("simulate",),
+    "abrace.interactive.validation": ("validate",),
+    "abrace_bags": ("read_runs",),
     "abrace_core.controller_file": ("Controller", "load_controller"),
     "abrace_core.discretization": ("discretize",),
     "abrace_core.errors": ("AbraceError",),
@@ -53,12 +61,14 @@ __all__ = [
     "design",
     "discretize",
     "identify",
+    "identify_ambient",
     "identify_data",
     "load_controller",
     "load_model",
     "load_record",
     "load_rig",
     "read_run",
+    "read_runs",
     "save_model",
     "simulate",
     "validate",

@@ -1,44 +1,35 @@
-"""Tests to models, and models against tests."""
+"""Tests of a rig to its models."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace.interactive.given import controller_of, model_of, runs_of, warn
+from abrace.interactive.given import runs_of, warn
 from abrace_core.errors import AbraceError
 from abrace_core.tables import data_frame
-from abrace_sysid import data_identification, identification, validation
-from abrace_sysid.data_identification import DataOptions
+from abrace_sysid import identification
 from abrace_sysid.figures import identification as figures
-from abrace_sysid.figures.data import figures_of_data
-from abrace_sysid.figures.validation import time_histories
 from abrace_sysid.figures.validity import validity_figure
 from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.identification_results import write_identification
-from abrace_sysid.measured_data import MeasuredData, read_data
 from abrace_sysid.validity.judgement import judge
-from abrace_sysid.validity.prediction import predicted
 from abrace_sysid.validity_results import write_validity
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     import pandas
     from matplotlib.figure import Figure
-    from numpy.typing import ArrayLike
 
-    from abrace.interactive.given import AnyController, AnyModel, AnyRun
+    from abrace.interactive.given import AnyRun
     from abrace_core.linear_model import LinearModel
-    from abrace_sysid.data_identification import DataIdentification
     from abrace_sysid.fitting.pole_estimate import PoleInterval
     from abrace_sysid.identification import Identification
-    from abrace_sysid.measured_data import DataHold
-    from abrace_sysid.validation import Comparison
-    from abrace_sysid.validity.finding import Finding, Validity
+    from abrace_sysid.validity.finding import Validity
     from abrace_sysid.validity.judgement import Judgement
 
 DEFAULTS = IdentificationOptions()
@@ -88,7 +79,7 @@ class Identified:
 
     def to_pandas(self) -> pandas.DataFrame:
         """The pole pairs of both tests, slowest first, with 95 % confidence intervals."""
-        return _pairs(self.found.poles.common_pairs)
+        return pole_intervals(self.found.poles.common_pairs)
 
     def plot(self, what: str = "transfer_functions") -> Figure:
         """A figure.
@@ -178,173 +169,8 @@ def identify(
     return Identified(found, judge(tables, commands, options, found))
 
 
-@dataclass(frozen=True)
-class IdentifiedData:
-    """The model of a structure from measured data.
-
-    Parameters
-    ----------
-    found
-        The whole identification.
-    """
-
-    found: DataIdentification
-
-    def __repr__(self) -> str:
-        low, high = self.found.band
-        return f"<Identified: {len(self.found.pairs)} modes, {low:.3g} to {high:.3g} Hz, from {self.found.data.source}>"
-
-    @property
-    def model(self) -> LinearModel:
-        """The continuous model."""
-        return self.found.model
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """The modes, slowest first, with 95 % confidence intervals."""
-        return _pairs(self.found.pairs)
-
-    def plot(self, what: str | None = None) -> Figure:
-        """A figure.
-
-        Parameters
-        ----------
-        what
-            `transfer_functions_NAME` of an input, "residuals" or "confidence"; None: the first input's.
-
-        Raises
-        ------
-        AbraceError
-            If it is none of these.
-        """
-        drawn = figures_of_data(self.found)
-        chosen = what or next(iter(drawn))
-        if chosen not in drawn:
-            raise AbraceError(f"figure {chosen!r} of an identification: expected one of {', '.join(drawn)}")
-        return drawn[chosen]
-
-
-def identify_data(
-    data: MeasuredData | Mapping[str, ArrayLike] | pandas.DataFrame | Path | str,
-    inputs: Sequence[str] = (),
-    outputs: Sequence[str] = (),
-    *,
-    sample_rate: float = 0.0,
-    time: str = "",
-    units: Mapping[str, str] | None = None,
-    hold: DataHold = "band",
-    band: tuple[float, float] | None = None,
-) -> IdentifiedData:
-    """Identify any structure from measured inputs and outputs.
-
-    Parameters
-    ----------
-    data
-        A file (.mat, .npz, .npy, .csv), a DataFrame or arrays by name.
-    inputs, outputs
-        Names of columns; no outputs: all others.
-    sample_rate
-        [Hz]; 0: from the column `time`.
-    time
-        Name of a column of times [s].
-    units
-        By column, for figures.
-    hold
-        "band": inputs and outputs sampled alike, below half the sample rate; "zero": inputs held between samples.
-    band
-        [Hz] that is used; None: ten lines to half the sample rate.
-
-    Raises
-    ------
-    AbraceError
-        If the data cannot be used, with all columns that are missing.
-    """
-    given = data if isinstance(data, MeasuredData) else read_data(data, inputs, outputs, sample_rate, time, units, hold)
-    found = data_identification.identify_data(given, DataOptions(band=band))
-    warn(found.warnings)
-    return IdentifiedData(found)
-
-
-@dataclass(frozen=True)
-class Validated:
-    """A test beside its simulation by a model.
-
-    Parameters
-    ----------
-    comparison
-        Measured and simulated.
-    finding
-        Of the channel that is predicted worst.
-    """
-
-    comparison: Comparison
-    finding: Finding
-
-    def __repr__(self) -> str:
-        worst = f"worst {self.finding.where}, {100 * self.finding.value:.2g} % beyond its noise"
-        return f"<Validated: {self.comparison.source}: {worst}: {self.finding.verdict.words}>"
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """Of each channel peak and rms, measured and simulated [SI units], correlation and relative errors."""
-        comparison, names = self.comparison, self.comparison.names
-        measured, simulated = comparison.measured_peak_rms(), comparison.simulated_peak_rms()
-        columns = {
-            "peak measured": [measured[name].peak for name in names],
-            "peak simulated": [simulated[name].peak for name in names],
-            "rms measured": [measured[name].rms for name in names],
-            "rms simulated": [simulated[name].rms for name in names],
-        }
-        for title, values in (
-            ("correlation", comparison.correlation()),
-            ("rms error / rms", comparison.normalised_rms_error()),
-            ("without sensor noise", comparison.noise_free_error()),
-        ):
-            columns[title] = [values.get(name, np.nan) for name in names]
-        return data_frame(columns, "channel", names)
-
-    def plot(self, channels: Sequence[str] = ()) -> Figure:
-        """Measured and simulated over time.
-
-        Parameters
-        ----------
-        channels
-            One row each; none: the top floor's displacement and the first acceleration.
-        """
-        names = self.comparison.names
-        floors = [name for name in names if name[0] == "x" and name[1:].isdigit()]
-        return time_histories(self.comparison, tuple(channels) or (*floors[-1:], "a1"))
-
-
-def validate(test: AnyRun, model: AnyModel, *, controller: AnyController | None = None) -> Validated:
-    """Compare a recorded test with its simulation by a model.
-
-    Parameters
-    ----------
-    test
-        A Run or its bag.
-    model
-        A model, its file, an identification (or its folder), a rig, a StateSpace of python-control.
-    controller
-        Of the test, which then closes the loop around the model; None: the recorded command drives it.
-
-    Raises
-    ------
-    AbraceError
-        If test, model and controller are not of the same rig, or the test has a gap.
-    """
-    (run, *more) = runs_of(test)
-    if more:
-        raise AbraceError(f"{run.source}: {1 + len(more)} runs, expected one")
-    law: Any = None
-    limit, correction = np.full(run.groups, np.inf), None
-    if controller is not None:
-        given = controller_of(controller)
-        law, limit, correction = given.law, given.force_limit, given.correction
-    comparison = validation.compare(run, model_of(model), law, limit, correction)
-    return Validated(comparison, predicted(comparison))
-
-
-def _pairs(pairs: Sequence[PoleInterval]) -> pandas.DataFrame:
-    """Pole pairs with their intervals."""
+def pole_intervals(pairs: Sequence[PoleInterval]) -> pandas.DataFrame:
+    """The pole `pairs` with their 95 % intervals, a row each."""
     hertz = 2 * np.pi
     columns = {
         "frequency [Hz]": [pair.frequency / hertz for pair in pairs],
