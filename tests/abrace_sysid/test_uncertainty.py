@@ -129,7 +129,7 @@ def test_deviations_hold_what_friction_does_to_the_best_linear_approximation():
 def test_models_drawn_from_the_joint_covariance_scatter_as_those_of_other_tests_do(plant):
     poles, omega = plant.poles(), np.linspace(4.0, 30.0, 25)
     fits = [
-        fit_poles([Observation.of_response(measured(plant, 300, seed), "noisy")], poles[poles.imag > 0], joint=True)
+        fit_poles([Observation.of_response(measured(plant, 300, seed), "noisy")], poles[poles.imag > 0], spread="joint")
         for seed in range(50)
     ]
     models = [modal_model(fit, {}).frequency_response(omega)[:, :, 0] for fit in fits]

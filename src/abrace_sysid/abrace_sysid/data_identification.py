@@ -135,7 +135,7 @@ def identify_data(
     halves = observed(data.part(0, samples // 2)), observed(data.part(samples // 2, samples))
     poles = search_modes(halves, options.most_modes, found_so_far)
     progress("maximum likelihood", 0.9)
-    estimate = fit_with_residual_terms(whole, poles)
+    estimate = fit_with_residual_terms(whole, poles, spread="none")
     estimate = fit_with_residual_terms(weighed([whole], estimate)[0], estimate.poles[: len(poles)])
     provenance = {
         "data": data.source,

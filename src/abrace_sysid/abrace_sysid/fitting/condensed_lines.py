@@ -7,9 +7,11 @@ the triangular factor, whose size does not depend on the length of the test.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy import sparse
 
 from abrace_core.errors import AbraceError
 from abrace_sysid.fitting.pole_basis import sides_of, whole_samples
@@ -60,18 +62,31 @@ class CondensedLines:
         first, second = self.basis.shape[1], self.slopes.shape[1]
         return self.small[:, :first], self.small[:, :second], self.small[:, second:]
 
-    def combination(self, coefficients: NDArray[np.float64], parameters: int) -> NDArray[np.float64]:
-        """(slopes, parameters) that make of the slopes the derivatives of a channel with these `coefficients`."""
-        combined = np.zeros((self.slopes.shape[1], parameters))
+    def derivatives(self, coefficients: NDArray[np.float64], parameters: int) -> sparse.csr_matrix:
+        """(parameters, slopes) that make of the slopes the derivatives of a channel with these `coefficients`."""
+        columns, rows, places, factors = self._entries
+        values = factors[:, 0] * coefficients[places[:, 0]] + factors[:, 1] * coefficients[places[:, 1]]
+        return sparse.csr_matrix((values, (rows, columns)), shape=(parameters, self.slopes.shape[1]))
+
+    @cached_property
+    def _entries(
+        self,
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+        """Slopes and parameters of all entries of `derivatives`; places of two coefficients each, and their factors."""
+        columns, rows, places, factors = [], [], [], []
         for kind in self.kinds:
-            own = coefficients[kind.coefficient]
-            value = complex(*own) * kind.factor
-            for number, column in enumerate(range(kind.parameter.start, kind.parameter.stop)):
+            first, last = kind.coefficient.start, kind.coefficient.stop - 1
+            for number, row in enumerate(range(kind.parameter.start, kind.parameter.stop)):
                 # a complex number c weighs the two columns of a pair by its parts; of its derivatives the other is i c
-                turned = value * 1j**number
-                parts = (turned.real, turned.imag)[: kind.columns.stop - kind.columns.start]
-                combined[kind.columns, column] += parts
-        return combined
+                turned = kind.factor * 1j**number
+                second = turned * 1j if last > first else 0j
+                parts = ((turned.real, second.real), (turned.imag, second.imag))
+                for column, part in zip(range(kind.columns.start, kind.columns.stop), parts, strict=False):
+                    columns.append(column)
+                    rows.append(row)
+                    places.append((first, last))
+                    factors.append(part)
+        return np.array(columns), np.array(rows), np.array(places), np.array(factors)
 
 
 def condensed(observations: Sequence[Observation], inputs: Sequence[str], modes: Modes) -> tuple[CondensedLines, ...]:

@@ -19,8 +19,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft, linalg, sparse, stats
+from scipy import fft, linalg, stats
 
+from abrace_sysid.fitting.condensed_lines import direct_terms
 from abrace_sysid.fitting.pole_estimate import NORMAL_95
 
 if TYPE_CHECKING:
@@ -42,7 +43,9 @@ MOST_LEVERAGE = 0.9
 
 
 def covariance(likelihood: Likelihood, joint: Likelihood | None = None) -> NDArray[np.float64]:
-    """Of the parameters of `Modes.parameters`, and if `joint` is given of each channel's coefficients too; 0: fixed.
+    """Of the parameters of `Modes.parameters`, and if `joint` is given of each channel's `lasting` coefficients too.
+
+    0: fixed.
 
     Parameters
     ----------
@@ -116,49 +119,64 @@ def _influence(likelihood: Likelihood, joint: Likelihood | None) -> NDArray[np.f
     if joint is None:
         return of_modes
     parameters = len(of_modes)
-    sizes = [len(channel.triangle) for channel in joint.channels]
-    found = np.zeros((parameters + sum(sizes),) * 2)
+    kept = lasting(joint)
+    found = np.eye(parameters + len(kept) * len(joint.channels))
     found[:parameters, :parameters] = of_modes
-    first = parameters
-    for channel, size in zip(joint.channels, sizes, strict=True):
-        own = slice(first, first + size)
-        inverse = linalg.solve_triangular(channel.triangle, np.eye(size))
-        found[own, own] = inverse @ inverse.T
+    for first, channel in zip(range(parameters, len(found), len(kept)), joint.channels, strict=True):
         # coefficients follow the modes: what these move of the channel they take back, as far as they can
-        found[own, :parameters] = -channel.projection @ of_modes
-        first = own.stop
+        found[first : first + len(kept), :parameters] = -channel.projection[kept] @ of_modes
     return found
 
 
+def lasting(likelihood: Likelihood) -> NDArray[np.int64]:
+    """Places of the coefficients that a model is made of: shapes and direct terms, without any test's transient.
+
+    Parameters
+    ----------
+    likelihood
+        Of some tests.
+    """
+    inputs = tuple(dict.fromkeys(name for test in likelihood.tests for name in test.observation.inputs))
+    _, end = direct_terms([test.observation for test in likelihood.tests], inputs, likelihood.modes)
+    return np.arange(end)
+
+
 def _scores(likelihood: Likelihood, test: int, joint: Likelihood | None, in_time: bool) -> NDArray[np.float64]:
-    """(lines, scores) of one test: derivatives of its log likelihood, line by line or in as many pieces of time."""
+    """(lines, scores) of one test: derivatives of its log likelihood, line by line or in as many pieces of time.
+
+    Those of coefficients are given as what they move of them.
+    """
     one, parameters = likelihood.tests[test], len(likelihood.gradient)
-    lines = len(one.measured) // 2
-    own, size = one.columns, len(likelihood.channels[0].triangle)
-    found = np.zeros((lines, parameters + (size * len(likelihood.channels) if joint else 0)))
+    lines, own = len(one.measured) // 2, one.columns
+    kept = np.arange(0) if joint is None else lasting(joint)
+    found = np.zeros((lines, parameters + len(kept) * len(likelihood.channels)))
+    slopes, measured = (_in_time(rows) if in_time else rows for rows in (one.slopes, one.measured))
+    basis = slopes[:, : one.basis.shape[1]]
     for c, channel in enumerate(likelihood.channels):
-        left = one.measured[:, c] - one.basis @ channel.coefficients[own]
-        residual = _paired(left * (one.observation.weight / channel.power[test]), in_time)
-        # hardly any entry of the combination is not zero
-        moved = sparse.csr_matrix(one.combination(channel.coefficients, parameters).T)
-        slopes = (moved @ one.slopes.T).T - one.basis @ channel.projection[own]
-        found[:, :parameters] += _product(_paired(slopes, in_time), residual)
+        left = measured[:, c] - basis @ channel.coefficients[own]
+        moved = (one.derivatives(channel.coefficients, parameters) @ slopes.T).T - basis @ channel.projection[own]
+        found[:, :parameters] += _product(moved, left * (one.observation.weight / channel.power[test]))
         if joint is not None:
-            alike = joint.channels[c]
-            left = (one.measured[:, c] - one.basis @ alike.coefficients[own]) / alike.power[test]
-            found[:, parameters + c * size + own] = _product(_paired(one.basis, in_time), _paired(left, in_time))
+            alike, first = joint.channels[c], parameters + c * len(kept)
+            left = (measured[:, c] - basis @ alike.coefficients[own]) / alike.power[test]
+            inverse = linalg.solve_triangular(alike.triangle, np.eye(len(alike.triangle)))
+            found[:, first : first + len(kept)] = _product(basis @ (inverse[own] @ inverse[kept].T), left)
     return found * (lines if in_time else 1)
 
 
-def _paired(rows: NDArray[np.float64], in_time: bool) -> NDArray[np.complex128]:
-    """Real parts above imaginary ones as complex lines, or the band's signal in time."""
+def _in_time(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The band's signals in time, of lines; real parts above imaginary ones both."""
     half = len(rows) // 2
-    lines = rows[:half] + 1j * rows[half:]
-    return np.asarray(fft.ifft(lines, axis=0) if in_time else lines)
+    series = fft.ifft(rows[:half] + 1j * rows[half:], axis=0)
+    return np.vstack([series.real, series.imag])
 
 
-def _product(slopes: NDArray[np.complex128], residual: NDArray[np.complex128]) -> NDArray[np.float64]:
-    return np.asarray((slopes.conj() * residual[:, None]).real)
+def _product(slopes: NDArray[np.float64], residual: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(lines, columns) real part of each line's slope, conjugate, times its residual."""
+    half = len(residual) // 2
+    found: NDArray[np.float64] = slopes[:half] * residual[:half, None]
+    found += slopes[half:] * residual[half:, None]
+    return found
 
 
 def _leverage(likelihood: Likelihood, test: int) -> NDArray[np.float64]:

@@ -46,7 +46,7 @@ def of_entries(
     likelihood
         At its maximum.
     covariance
-        Of its parameters, and of each channel's coefficients.
+        Of its parameters, and of each channel's coefficients but those of transients.
     inputs, unit
         Names of all inputs, and (inputs,) the units in which they are in the likelihood.
     """

@@ -188,7 +188,7 @@ def fit_channels(tests: Sequence[CondensedLines], parameters: int) -> tuple[_Cha
             if np.abs(level / level[0] / counts / relative - 1).max() < SAME_NOISE:
                 break
         coefficients = linalg.solve_triangular(r, projected) / scale
-        slopes = ordered([test.parts[1] @ test.combination(coefficients, parameters) for test in tests], relative)
+        slopes = ordered([(test.derivatives(coefficients, parameters) @ test.parts[1].T).T for test in tests], relative)
         on_basis = q.T @ slopes[:above]
         projection = linalg.solve_triangular(r, on_basis) / scale[:, None]
         unit = level[0]

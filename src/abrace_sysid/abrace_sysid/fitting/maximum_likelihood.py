@@ -20,7 +20,7 @@ poles allows for that, for coloured noise and for nonlinear distortion, without 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -59,7 +59,7 @@ def fit_poles(
     driven: NDArray[np.bool_] | None = None,
     fixed: NDArray[np.bool_] | None = None,
     most: int = ITERATIONS,
-    joint: bool = False,
+    spread: Literal["none", "modes", "joint"] = "modes",
     delays: NDArray[np.float64] | None = None,
 ) -> PoleEstimate:
     """The modes that make tests most likely, the same modes in all of them, with the covariance of their poles.
@@ -78,8 +78,9 @@ def fit_poles(
         (poles,) which poles stay where they are; None: none.
     most
         Iterations.
-    joint
-        Whether the covariance of drives, shapes and direct terms is asked for too.
+    spread
+        Of what the covariance is asked for: "modes", poles and drives; "joint", shapes and direct terms too; "none", a
+        trial, whose covariance is NaN.
     delays
         (inputs,) [s] by which an input that has no direct terms acts later, to start from; 0: it does not, and does not
         move. NaN: an input with direct terms; None: all have.
@@ -111,16 +112,21 @@ def fit_poles(
     found = likelihood.modes
     require_stable(found.poles, where)
     # weights are about what all channels tell of the modes together: of its shapes each tells by itself
-    alike = Likelihood.at([replace(one, weight=1.0) for one in observations], inputs, found) or likelihood
+    alike = likelihood
+    if any(one.weight != 1 for one in observations):
+        alike = Likelihood.at([replace(one, weight=1.0) for one in observations], inputs, found) or likelihood
     coefficients = np.array([one.coefficients for one in alike.channels])
-    spread = covariance(likelihood, alike if joint else None)
-    of_modes = spread[: len(likelihood.gradient), : len(likelihood.gradient)]
+    size = len(likelihood.gradient)
+    whole = np.full((size, size), np.nan)
+    if spread != "none":
+        whole = covariance(likelihood, alike if spread == "joint" else None)
+    of_modes = whole[:size, :size]
     return PoleEstimate(
         found.poles,
         of_modes,
         likelihood.cost,
         sum(observation.measured.size for observation in observations) * 2,
-        len(likelihood.gradient) + sum(len(one.coefficients) + len(one.power) for one in likelihood.channels),
+        size + sum(len(one.coefficients) + len(one.power) for one in likelihood.channels),
         iterations,
         inputs,
         observations[0].outputs,
@@ -128,8 +134,8 @@ def fit_poles(
         _shapes(found.poles, coefficients),
         _direct(observations, inputs, found, coefficients) / unit,
         np.where(found.direct, np.nan, found.delays),
-        inflation(likelihood, of_modes),
-        of_entries(likelihood, spread, inputs, unit) if joint else None,
+        inflation(likelihood, of_modes) if spread != "none" else 1.0,
+        of_entries(likelihood, whole, inputs, unit) if spread == "joint" else None,
     )
 
 

@@ -8,7 +8,7 @@ description length would count as modes what a nonlinear or drifting peak leaves
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -61,7 +61,10 @@ NEIGHBOURS = 9
 
 
 def fit_with_residual_terms(
-    observation: Observation, poles: NDArray[np.complex128], iterations: int = ITERATIONS
+    observation: Observation,
+    poles: NDArray[np.complex128],
+    iterations: int = ITERATIONS,
+    spread: Literal["none", "modes"] = "modes",
 ) -> PoleEstimate:
     """As `fit_poles`, with what modes above the band leave in it: of each input one pair, whose pole is given.
 
@@ -73,13 +76,15 @@ def fit_with_residual_terms(
         To start from [rad/s].
     iterations
         Steps at most.
+    spread
+        As of `fit_poles`.
     """
     count = len(observation.inputs)
     highest = float(np.angle(observation.z[-1])) / observation.samplings[0].sample_period
     above = np.full(count, ABOVE * highest * complex(-ABOVE_DAMPING, 1))
     fixed = np.arange(len(poles) + count) >= len(poles)
     driven = np.vstack([np.ones((len(poles), count), dtype=np.bool_), np.eye(count, dtype=np.bool_)])
-    return fit_poles([observation], np.concatenate([poles, above]), driven, fixed, iterations)
+    return fit_poles([observation], np.concatenate([poles, above]), driven, fixed, iterations, spread)
 
 
 def search_modes(
@@ -111,7 +116,7 @@ def search_modes(
         refused.append(candidate)
         try:
             trials = [
-                fit_with_residual_terms(half, np.append(poles, candidate), TRIAL_ITERATIONS)
+                fit_with_residual_terms(half, np.append(poles, candidate), TRIAL_ITERATIONS, "none")
                 for half, poles in zip(halves, found, strict=True)
             ]
             judged = [prediction(trial, half)[0] for trial, half in zip(trials, halves[::-1], strict=True)]

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import linalg
 
 from abrace_sysid.fitting.pole_estimate import columns_of
 
@@ -54,8 +53,8 @@ class Modes:
         inputs = np.flatnonzero(self.driven[mode])
         found = np.zeros((self.driven.shape[1], max(0, len(inputs) - 1)), dtype=np.complex128)
         if found.size:
-            own = self.drive[mode, inputs].conj()[None]
-            found[inputs] = linalg.null_space(own if self.poles[mode].imag > 0 else own.real)
+            own = self.drive[mode, inputs][:, None]
+            found[inputs] = np.linalg.qr(own if self.poles[mode].imag > 0 else own.real, mode="complete")[0][:, 1:]
         return found
 
     def parameters(self) -> list[tuple[int, int | None, slice]]:

@@ -128,7 +128,7 @@ def try_orders(
                 driven[order.pairs : order.pairs + groups, ground:] = np.eye(groups)
             first = {"direct": np.nan, "lag": 0.0, "delay": FIRST_DELAY * several[i].sample_period}
             delays = np.append([np.nan] * ground, np.full(groups, first[order.servo]))
-            return OrderTrial(order, fit_poles(observations, poles, driven, most=most, delays=delays))
+            return OrderTrial(order, fit_poles(observations, poles, driven, most=most, spread="none", delays=delays))
         except AbraceError as error:
             return OrderTrial(order, None, str(error))
 
@@ -183,7 +183,7 @@ def search_order(
     Returns
     -------
     PoleEstimate
-        Of all lines.
+        Of all lines, without covariance.
 
     Raises
     ------
@@ -223,7 +223,7 @@ def search_order(
             best = trial
     near = best.estimate
     assert near is not None
-    return fit_poles(observations, near.poles, near.drive != 0, delays=near.delays)
+    return fit_poles(observations, near.poles, near.drive != 0, spread="none", delays=near.delays)
 
 
 def no_modes(estimate: PoleEstimate | None, lines: NDArray[np.float64]) -> list[PoleInterval]:

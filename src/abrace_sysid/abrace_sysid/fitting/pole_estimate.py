@@ -54,7 +54,7 @@ class PoleEstimate:
         (poles,) [rad/s]: of each pair the one above the real axis, and real poles, in the order of the start.
     covariance
         Of the poles' real and imaginary parts, in the order of `poles`; of a real pole the real part alone. Then of how
-        the drives can turn. [rad^2/s^2]
+        the drives can turn. NaN: not asked for. [rad^2/s^2]
     cost
         -2 log likelihood, less a constant.
     observed

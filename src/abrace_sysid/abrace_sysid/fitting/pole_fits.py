@@ -167,7 +167,7 @@ def _of_tests_with_all_inputs(
     tests = _observations([table])
     first = search_order(tests, responses, given or floors, _servos(groups), groups, given > 0)
     tests, found = _with_noise_as_found(tests, first)
-    return fit_poles(tests, found.poles, found.drive != 0, joint=True, delays=found.delays)
+    return fit_poles(tests, found.poles, found.drive != 0, spread="joint", delays=found.delays)
 
 
 def _of_tests_apart(
@@ -205,7 +205,7 @@ def _of_tests_apart(
     driven = np.hstack([np.ones((len(poles), 1), dtype=np.bool_), drive != 0])
     delays = np.concatenate([[np.nan], of_command.delays])
     tests = [*(replace(one, poles=shown) for one in from_table), *from_command]
-    of_both = fit_poles(tests, poles, driven, joint=True, delays=delays)
+    of_both = fit_poles(tests, poles, driven, spread="joint", delays=delays)
     return of_table, of_command, of_both
 
 
