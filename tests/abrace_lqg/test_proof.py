@@ -22,7 +22,7 @@ from abrace_lqg.design import ControllerDesign, design
 from abrace_lqg.loop import closed_loop, is_stable, sampled
 from abrace_lqg.proof.checks import Proof, prove, require
 from abrace_lqg.proof.figures import loop_figure
-from abrace_lqg.proof.files import load_models, save_proof
+from abrace_lqg.proof.files import distrusted, load_models, save_proof
 from abrace_lqg.proof.limits import OBJECTIONS, WORDING, Limits
 from abrace_lqg.proof.proven_design import design_to_file
 from abrace_lqg.proof.table import table_lines
@@ -336,6 +336,27 @@ def test_models_are_drawn_about_those_whose_files_have_a_covariance(tmp_path: Pa
     save_model(rig_model, uncertain, np.eye(3))
     with pytest.raises(AbraceError, match=r"^model uncertain: covariance of a model"):
         design_to_file([str(exact), str(uncertain)], tmp_path / "one.yaml", draws=5, **given)
+
+
+def test_a_model_that_its_own_validity_says_not_to_trust_is_refused_unless_accepted_by_name(
+    tmp_path: Path, rig_model: LinearModel
+):
+    save_model(rig_model, tmp_path / "model.json")
+    weights = load_weights(SOURCES / "abrace_lqg/config/lqg3.yaml")
+    given = {"weights": weights, "weights_name": "lqg3", "sample_period": PERIOD, "force_limit": [24516.625]}
+    files, validity = [str(tmp_path / "model.json")], tmp_path / "validity.json"
+    validity.write_text('{"verdict": "don\'t trust", "causes": ["wrong unit"]}')
+    with pytest.raises(AbraceError, match=r"validity\.json says don't trust \(wrong unit\) \(accept: \[untrusted_model"):
+        design_to_file(files, tmp_path / "one.yaml", **given)
+    assert not (tmp_path / "one.yaml").exists()
+    proof, controller, _ = design_to_file(files, tmp_path / "one.yaml", accept=["untrusted_model"], **given)
+    assert proof.accepted == ("untrusted_model",)
+    assert "accepted by name: untrusted_model, " in controller.margins
+    validity.write_text('{"verdict": "trust with care", "causes": ["friction"]}')
+    assert distrusted(files) == ()
+    validity.write_text("[]")
+    with pytest.raises(AbraceError, match=r"validity\.json.*expected the findings of an identification"):
+        distrusted(files)
 
 
 def in_modal_form(model: LinearModel) -> tuple[LinearModel, np.ndarray]:

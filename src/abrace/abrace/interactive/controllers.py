@@ -9,6 +9,7 @@ from abrace.interactive.identification import Identified
 from abrace_core.errors import AbraceError
 from abrace_lqg.proof.limits import Limits
 from abrace_lqg.proof.proven_design import ProvenDesign, proven_design
+from abrace_sysid.validity.finding import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -77,7 +78,14 @@ def design(
         limits=Limits(**limits) if limits else None,
         accept=accept,
         covariances=covariances,
+        distrust=_distrust(model) if isinstance(model, Identified) else (),
     )
+
+
+def _distrust(identified: Identified) -> list[str]:
+    """Why no controller is to be designed with an identified model; empty: nothing."""
+    verdict, causes = identified.validity.verdict, ", ".join(identified.validity.causes)
+    return [f"the identification says {verdict.words} ({causes})"] if verdict is Verdict.DONT else []
 
 
 def _of_rig(model: LinearModel, rig: AnyRig | None, period: float | None, force: Any) -> tuple[float, list[float]]:

@@ -115,6 +115,8 @@ class Proof:
         What the controller has to keep.
     accepted
         Names of the objections that were accepted.
+    distrusted
+        Of each model that its identification says not to trust, where it says so and why.
     """
 
     models: tuple[ModelProof, ...]
@@ -122,6 +124,7 @@ class Proof:
     excitation: Excitation
     limits: Limits = field(default_factory=Limits)
     accepted: tuple[Objection, ...] = ()
+    distrusted: tuple[str, ...] = ()
 
     @property
     def margins(self) -> Margins:
@@ -140,6 +143,8 @@ class Proof:
     def objections(self) -> dict[Objection, str]:
         """The reasons against use, by their names in `proof.limits.OBJECTIONS`."""
         found: dict[Objection, str] = {}
+        if self.distrusted:
+            found["untrusted_model"] = "; ".join(self.distrusted)
         unstable = [f"{each.name} ({each.order} states)" for each in self.models if not each.stable]
         unstable += [
             f"{each.ensemble.unstable} of the {each.ensemble.count} models drawn about {each.name}"

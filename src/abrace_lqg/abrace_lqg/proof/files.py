@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 FILE_FORMAT = "abrace proof 1"
 
+DISTRUST = "don't trust"
+"""Verdict of a `validity.json` on models that no controller is to be designed with."""
+
 DRAWS = 30
 """Models drawn about one whose covariance is known: the worst of them is beyond what 9 of 10 such models would do."""
 
@@ -46,6 +49,33 @@ def load_models(paths: Sequence[str]) -> dict[str, LinearModel]:
         raise AbraceError(f"model file {twice[0]}: given twice, expected each model once")
     names = [stem if stems.count(stem) == 1 else path for stem, path in zip(stems, paths, strict=True)]
     return {name: load_model(path) for name, path in zip(names, paths, strict=True)}
+
+
+def distrusted(paths: Sequence[str]) -> tuple[str, ...]:
+    """A sentence for each folder of models whose `validity.json` says not to trust them.
+
+    Parameters
+    ----------
+    paths
+        Model files.
+
+    Raises
+    ------
+    AbraceError
+        If such a file cannot be read.
+    """
+    found = []
+    for path in dict.fromkeys(Path(path).parent / "validity.json" for path in paths):
+        if not path.is_file():
+            continue
+        try:
+            validity = json.loads(path.read_text(encoding="utf-8"))
+            verdict, causes = validity["verdict"], ", ".join(validity["causes"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise AbraceError(f"{path}: {error!r}, expected the findings of an identification") from error
+        if verdict == DISTRUST:
+            found.append(f"{path} says {verdict}" + (f" ({causes})" if causes else ""))
+    return tuple(found)
 
 
 @takes_models

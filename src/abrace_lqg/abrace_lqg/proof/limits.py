@@ -9,6 +9,7 @@ import pydantic
 from abrace_core.config_file import Checked
 
 Objection = Literal[
+    "untrusted_model",
     "unstable_with_check_model",
     "small_gain_margin",
     "small_phase_margin",

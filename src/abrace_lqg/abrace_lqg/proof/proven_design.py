@@ -17,7 +17,7 @@ from abrace_lqg.analysis.prediction import Excitation
 from abrace_lqg.design import design
 from abrace_lqg.proof.checks import prove, require
 from abrace_lqg.proof.figures import loop_figure, pole_figure, prediction_figure
-from abrace_lqg.proof.files import DRAWS, load_models, save_proof
+from abrace_lqg.proof.files import DRAWS, distrusted, load_models, save_proof
 from abrace_lqg.proof.table import table_lines
 from abrace_lqg.scaling import scaled_weights
 
@@ -124,6 +124,7 @@ def proven_design(
     covariances: Mapping[str, NDArray[np.float64]] | None = None,
     draws: int = DRAWS,
     draw_seed: int = 0,
+    distrust: Sequence[str] = (),
 ) -> ProvenDesign:
     """Design a controller and prove it.
 
@@ -149,6 +150,8 @@ def proven_design(
         Of the parameters of some of the models, by name.
     draws, draw_seed
         Models drawn about each of these, and their seed; 0: none.
+    distrust
+        A sentence for each of the models that says why it is not to be trusted, as from `distrusted`: an objection.
 
     Raises
     ------
@@ -164,7 +167,8 @@ def proven_design(
             ensembles[known] = draw_models(models[known], covariance, draws, draw_seed)
         except AbraceError as error:
             raise AbraceError(f"model {known}: {error}") from error
-    proof = require(prove(designed, models, excitation, limits, ensembles), accept)
+    proof = replace(prove(designed, models, excitation, limits, ensembles), distrusted=tuple(distrust))
+    proof = require(proof, accept)
     bags = ", ".join(map(str, model.provenance.get("bags", {}).values())) or "unknown bags"
     controller = Controller(
         name=weights_name.removesuffix(".yaml"),
@@ -198,7 +202,8 @@ def design_to_file(
     Parameters
     ----------
     model_files
-        The model to design with, then the check models; about those whose file has a covariance others are drawn.
+        The model to design with, then the check models; about those whose file has a covariance others are drawn. A
+        `validity.json` beside one, as `identify` writes it, that says not to trust it is an objection.
     output
         The controller file NAME.yaml.
     weights, weights_name, sample_period, force_limit, excitation, limits, accept, draws, draw_seed
@@ -224,6 +229,7 @@ def design_to_file(
         covariances={name: covariance for name, covariance in known.items() if covariance is not None},
         draws=draws,
         draw_seed=draw_seed,
+        distrust=distrusted(model_files),
     )
     written = proven.save(output)
     return proven.proof, replace(proven.controller, name=Path(output).stem), written
