@@ -15,6 +15,7 @@ from domain_coordinator import domain_id
 from abrace.processes.group import find_executable
 from abrace_bags import read_facts, read_run, read_topics
 
+SKYHOOK = Path(__file__).parents[2] / "examples/skyhook/skyhook/skyhook.py"
 NOISE = "{record: white_noise, rms: 0.25, band: [0.1, 10.0], seed: 1}"
 
 
@@ -118,6 +119,27 @@ def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_list
             assert list(topics[f"/short/{topic}"].log_time) == list(range(0, 4 * 10**9, 2 * 10**6)), "the samples' time"
         assert topics["/diagnostics"].log_time.max() < 4e9
     assert not nodes_of(tmp_path)
+
+
+def test_a_law_and_a_rig_of_ones_own_run_in_a_campaign_and_the_law_is_in_its_tables(tmp_path, environment):
+    moved = f"duration: 4.0, ground_motion: {NOISE}, rig: {{run: [abrace_plant, plant], file: ncree_three_storey}}"
+    endless = "{run: [abrace_plant, plant], file: ncree_three_storey, parameters: {duration: 0.0}}"
+    path = campaign(
+        tmp_path,
+        f"{{name: free, test: {{{moved}}}}}",
+        f"{{name: damped, test: {{{moved}, controller: {{run: {SKYHOOK}, name: sky}}, force_limit: [50.0]}}}}",
+        "{name: effect, compare: {test: damped, uncontrolled: free}}",
+        f"{{name: watched, test: {{duration: 1.0, lockstep: false, rig: {endless}}}}}",
+    )
+    process = start(tmp_path, environment, "campaign", str(path))
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert "Without and with sky: white_noise" in output
+    (bags,) = (tmp_path / "bags/short").iterdir()
+    assert abs(read_run(bags / "damped").command).max() == 50.0
+    assert read_facts(bags / "damped")["controller"] == "sky"
+    watched = read_topics(bags / "watched", ["/short/response"])["/short/response"]
+    assert 500 <= watched.log_time.size < 3000, "a rig that does not end by itself is ended"
 
 
 def test_multisines_on_table_and_command_at_once_give_a_model(tmp_path, environment):
