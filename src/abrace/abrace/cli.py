@@ -15,6 +15,7 @@ from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
 DEMO = "demo"
 WRONG_INPUT = 2
@@ -32,6 +33,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("arguments", nargs=argparse.REMAINDER, help="as for ros2 run: --ros-args -p name:=value ...")
     campaign = commands.add_parser("campaign", help="run the steps of a campaign file, then report")
     campaign.add_argument("file", help="YAML file, or the name of one of ours: demo, five_controllers")
+    campaign.add_argument("--check", action="store_true", help="only check the file, and say what it will do")
     add_report_parser(commands)
     add_bag_parser(commands)
     commands.add_parser(
@@ -77,16 +79,25 @@ def _carry_out(given: argparse.Namespace) -> int:
         return 0
     if given.command in ("status", "stop", "clear", "set"):
         return _operate(given)
+    if given.command == "campaign" and given.check:
+        from abrace.campaign.plan import check_campaign
+
+        print(check_campaign(_campaign_file(given.file)).text())
+        return 0
     if given.command == "report":
         report_command(given)
         return 0
     from abrace.campaign.runner import run_campaign
     from abrace.report.writer import make_report
+
+    print(make_report(run_campaign(_campaign_file(given.file if given.command == "campaign" else DEMO))))
+    return 0
+
+
+def _campaign_file(name: str) -> Path:
     from abrace_core.node import find_file
 
-    name = given.file if given.command == "campaign" else DEMO
-    print(make_report(run_campaign(find_file(name, "abrace", "campaigns", ".yaml", "campaign"))))
-    return 0
+    return find_file(name, "abrace", "campaigns", ".yaml", "campaign")
 
 
 def _operate(given: argparse.Namespace) -> int:

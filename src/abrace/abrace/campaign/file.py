@@ -117,6 +117,11 @@ class Campaign:
     path: Path = Path("campaign.yaml")
 
     @property
+    def tasks(self) -> dict[str, Task]:
+        """What is to be done by the steps' names, in order."""
+        return {step.name: step.task for step in self.steps}
+
+    @property
     def tests(self) -> dict[str, RigTest]:
         """The tests by name, in order."""
         return {step.name: step.task for step in self.steps if isinstance(step.task, RigTest)}

@@ -78,7 +78,7 @@ class Laboratories:
 
         The campaign's own where those tests are another campaign's, and for every other `task`.
         """
-        steps = {step.name: step.task for step in self._campaign.steps}
+        steps = self._campaign.tasks
         if isinstance(task, Design):
             task = steps.get(task.model, task)
         names = (*task.table, *task.command) if isinstance(task, Identify) else ()

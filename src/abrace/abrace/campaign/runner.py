@@ -10,6 +10,7 @@ import json
 import os
 import re
 import shutil
+import sys
 import time
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -17,12 +18,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from abrace.campaign.check import CheckedCampaign
 from abrace.campaign.drivers import NodeStart, abrace_node, drivers, rig_node
 from abrace.campaign.drives import Record
-from abrace.campaign.file import Campaign, load_campaign
 from abrace.campaign.names import CONTROLLER_FILE, MODEL_FILE, is_path
 from abrace.campaign.origin import write_origin
+from abrace.campaign.plan import check_campaign
 from abrace.campaign.poles import compare_poles
 from abrace.campaign.tasks import Ambient, Compare, Design, Identify, OwnController, OwnNode, RigTest, Validate
 from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
@@ -43,6 +43,7 @@ from abrace_plant.records.files import record_file, record_name
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from abrace.campaign.file import Campaign
     from abrace.campaign.laboratory import Laboratories, Laboratory
     from abrace.campaign.tasks import Task
     from abrace_core.progress import Step as ShownStep
@@ -380,8 +381,10 @@ def run_campaign(path: Path) -> Path:
     AbraceError
         If the file is wrong, a ground motion is more than the table has, a node dies or refuses, or a step fails.
     """
-    campaign = load_campaign(path)
-    laboratories = CheckedCampaign(campaign).laboratories
+    plan = check_campaign(path)
+    for care in plan.cares:
+        print(f"abrace: care: {care}", file=sys.stderr)
+    campaign, laboratories = plan.checked.campaign, plan.checked.laboratories
     results = Path("results") / campaign.name
     bags = Path("bags") / campaign.name / datetime.now().strftime("%Y%m%d-%H%M%S")
     shutil.rmtree(results, ignore_errors=True)

@@ -1,0 +1,244 @@
+"""What tests will ask of sensors, interlocks and braces, predicted with the linear model of the rig's file.
+
+A test with a controller is predicted with its loop closed: by its file, or by a design on the rig's own model where the
+campaign has still to identify one. A node of the user's cannot be simulated: its test is predicted with zero command.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace.campaign.names import CONTROLLER_FILE, MODEL_FILE, is_path
+from abrace.campaign.tasks import Design, OwnController
+from abrace_core.controller_file import load_controller
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import load_model
+from abrace_core.node import find_file
+from abrace_core.simulation import simulate, simulate_closed_loop
+from abrace_lqg.analysis.prediction import Excitation
+from abrace_lqg.design import design
+from abrace_lqg.proof.checks import prove, require
+from abrace_lqg.scaling import scaled_weights
+from abrace_lqg.weights import load_weights
+from abrace_plant.records.table_motion import table_motion
+from abrace_plant.rig.detectors import detectors, sensor_noise
+from abrace_plant.rig.limits import limit_table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from abrace.campaign.check import CheckedCampaign
+    from abrace.campaign.laboratory import Laboratory
+    from abrace.campaign.tasks import RigTest
+    from abrace_core.linear_model import LinearModel
+    from abrace_plant.rig.model import Interlock, Rig
+
+    Law = tuple[LinearModel, NDArray[np.float64]]
+
+UNITS = {"table": "", "drift": "m", "displacement": "m", "acceleration": "m/s^2", "stroke": "m", "force": "N"}
+"""What is predicted, by kind; the table's in the unit of what it has least of."""
+COMMAND = "command"
+
+
+@dataclass(frozen=True)
+class Peak:
+    """The greatest value of one kind of quantity beside what there is.
+
+    Parameters
+    ----------
+    name
+        Which one has it: "x3", "storey 1", "velocity".
+    value
+        [unit].
+    limit
+        [unit].
+    unit
+        Of both.
+    of
+        What the limit is: "sensor range", "interlock", "table", "force limit".
+    """
+
+    name: str
+    value: float
+    limit: float
+    unit: str
+    of: str
+
+    @property
+    def share(self) -> float:
+        """Of the limit."""
+        return self.value / self.limit
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a test will ask for.
+
+    Parameters
+    ----------
+    peaks
+        By kind: those of UNITS, and "command".
+    note
+        What was not predicted; empty: all was.
+    """
+
+    peaks: dict[str, Peak]
+    note: str = ""
+
+    def cares(self) -> Iterator[str]:
+        """What is beyond its limit."""
+        for kind, peak in self.peaks.items():
+            if kind == COMMAND and peak.share >= 1:
+                yield f"command {peak.name} reaches its limit of {peak.limit:.4g} N ({peak.of})"
+            elif peak.share > 1:
+                yield (
+                    f"{kind} {peak.name} {peak.value:.3g} {peak.unit} as predicted, more than {peak.limit:.3g} "
+                    f"{peak.unit} ({peak.of})"
+                )
+
+
+@dataclass(frozen=True)
+class _Designed:
+    """A design that was tried: its law, whether its model is there already, and why it is refused."""
+
+    law: Law | None
+    known: bool
+    refusal: str
+
+
+class Forecaster:
+    """Predicts the tests of a campaign.
+
+    Parameters
+    ----------
+    checked
+        The campaign.
+    """
+
+    def __init__(self, checked: CheckedCampaign) -> None:
+        self._checked = checked
+        self._designed = {
+            name: self._design(task) for name, task in checked.campaign.tasks.items() if isinstance(task, Design)
+        }
+        self._forecasts = {name: self._forecast(test) for name, test in checked.campaign.tests.items()}
+
+    def refusals(self) -> list[str]:
+        """Designs that their models, which are there already, refuse: a line each."""
+        refused = {name: one.refusal for name, one in self._designed.items() if one.known and one.refusal}
+        return [f"step {name}: {refusal}" for name, refusal in refused.items()]
+
+    def cares(self) -> list[str]:
+        """What is not refused, but will go wrong by the prediction: a line for each step that it is about."""
+        found = [
+            f"step {name}: {one.refusal}, as predicted with the model of the rig file"
+            for name, one in self._designed.items()
+            if one.refusal and not one.known
+        ]
+        for name, forecast in self._forecasts.items():
+            found += [f"step {name}: {care}" for care in forecast.cares()]
+        return found
+
+    def of(self, test: str) -> Forecast:
+        """What the `test` of this name will ask for."""
+        return self._forecasts[test]
+
+    def _forecast(self, test: RigTest) -> Forecast:
+        laboratory = self._checked.laboratories.of(test)
+        signals, rig = self._checked.signals, laboratory.rig.disconnect(test.disconnected_braces)
+        samples = round(test.duration * rig.sample_rate)
+        ground, commands = np.zeros(samples), np.zeros((samples, rig.groups))
+        if test.ground_motion is not None:
+            motion = signals.motion(test.ground_motion, test.duration, laboratory)[:samples]
+            ground[: len(motion)] = motion
+        limits = np.array(test.force_limit or rig.capacity)
+        if test.excitation is not None:
+            asked = signals.excitation(test.excitation, test.duration, laboratory)[:samples]
+            commands[: len(asked)] = np.clip(asked, -limits, limits)
+        model, note, law = rig.discrete_model(), "", None
+        if isinstance(test.controller, OwnController):
+            note = "with zero command: a node of your own is not simulated"
+        elif test.controller is not None:
+            law, note = self._law(test.controller, laboratory)
+        if law is None:
+            outputs = simulate(model, np.column_stack([ground, commands]))
+        else:
+            outputs, commands = simulate_closed_loop(model, law[0], ground, limits, law[1])
+        found = _table_peak(ground, rig) if test.ground_motion is not None else {}
+        found |= _response_peaks(dict(zip(model.outputs, outputs.T, strict=True)), rig)
+        if np.any(commands):
+            group = int(np.argmax(np.abs(commands).max(axis=0) / limits))
+            greatest = float(np.abs(commands[:, group]).max())
+            name = model.inputs[1 + group]
+            found[COMMAND] = Peak(name, greatest, float(limits[group]), "N", "force limit")
+        return Forecast(found, note)
+
+    def _law(self, controller: str, laboratory: Laboratory) -> tuple[Law | None, str]:
+        """A controller's law and correction, and what is to be said of the prediction with it."""
+        if controller.endswith(CONTROLLER_FILE):
+            read = load_controller(controller)
+            return (read.law, read.correction), ""
+        designed = self._designed[controller]
+        if designed.law is None:
+            return None, "with zero command: no controller can be designed on the rig's own model"
+        if designed.law[0].outputs != laboratory.rig.model.inputs[1:]:
+            return None, f"with zero command: {controller} is for another rig"
+        return designed.law, "" if designed.known else f"{controller} as designed on the rig's own model"
+
+    def _design(self, task: Design) -> _Designed:
+        """A design on its model if that is there already, otherwise on the rig's own."""
+        rig = self._checked.laboratories.behind(task)[0].rig
+        known, law, refusal = is_path(task.model), None, ""
+        file = task.model if task.model.endswith(MODEL_FILE) else f"{task.model}/reduced{MODEL_FILE}"
+        try:
+            model, period = load_model(file) if known else rig.model, 1 / rig.sample_rate
+            weights = load_weights(find_file(task.weights, "abrace_lqg", "config", ".yaml", "weights"))
+            weights = scaled_weights(model, weights, period, rig.capacity.tolist(), Excitation())
+            designed = design(model, weights, period)
+            law = designed.controller, designed.correction
+            require(prove(designed, {"the model": model}, limits=task.limits), task.accept)
+        except AbraceError as error:
+            refusal = str(error)
+        return _Designed(law, known, refusal)
+
+
+def _table_peak(ground: NDArray[np.float64], rig: Rig) -> dict[str, Peak]:
+    """What the table has least of."""
+    demands = table_motion(ground, rig.sample_rate).demands(rig.table)[:-1]
+    worst = max(demands, key=lambda demand: demand.value / demand.limit)
+    return {"table": Peak(worst.name, worst.value, worst.limit, worst.unit, "table")}
+
+
+def _response_peaks(outputs: dict[str, NDArray[np.float64]], rig: Rig) -> dict[str, Peak]:
+    """The worst of each kind of response, beside the sensors' range or the interlock, whichever is less."""
+    greatest = {name: float(np.abs(values).max()) for name, values in outputs.items()}
+    floors = [np.zeros(1), *(outputs[f"x{i + 1}"] for i in range(rig.floors))]
+    drifts = {f"of storey {i}": float(np.abs(b - a).max()) for i, (a, b) in enumerate(pairwise(floors), 1)}
+    of_kind = {
+        "drift": drifts,
+        "displacement": {name: value for name, value in greatest.items() if name[0] == "x" and name[1] != "f"},
+        "acceleration": {name: value for name, value in greatest.items() if name[0] == "a"},
+        "stroke": {name: value for name, value in greatest.items() if name.startswith("xf")},
+        "force": {name: value for name, value in greatest.items() if name[0] == "f"},
+    }
+    interlocks = limit_table(rig, detectors(rig).noise(sensor_noise(rig)))
+    found = {}
+    for kind, values in of_kind.items():
+        if values:
+            name = max(values, key=lambda one: values[one])
+            limit, of = _limit(kind, rig, interlocks[kind])
+            found[kind] = Peak(name, values[name], limit, UNITS[kind], of)
+    return found
+
+
+def _limit(kind: str, rig: Rig, interlock: Interlock) -> tuple[float, str]:
+    """The least of a sensor's range and the interlock, if that stops the rig, and what it is."""
+    limits = [(interlock.value, "interlock")] if interlock.action == "stop" else []
+    if kind != "drift":
+        limits.append((getattr(rig.sensors, kind).range, "sensor range"))
+    return min(limits, default=(np.inf, "no limit"))

@@ -1,0 +1,171 @@
+"""What a campaign will do: its tests with what they ask for, how long it takes, what it writes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from abrace.campaign.check import CheckedCampaign
+from abrace.campaign.file import load_campaign, refuse
+from abrace.campaign.forecast import COMMAND, UNITS, Forecaster
+from abrace.campaign.tasks import Ambient, Compare, Design, Identify, RigTest, Validate
+from abrace.report.table import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Sized
+
+    from abrace.campaign.forecast import Peak
+    from abrace.campaign.tasks import Task
+
+BYTES_OF_A_NUMBER = 13
+"""In a bag, compressed, of each channel and command at each sample: the demo's have 10 to 13."""
+BYTES_OF_FACTS = 200_000
+"""Of a bag's facts, attachments and diagnostics."""
+STARTING = 3.0
+"""Seconds that a test takes besides its run."""
+LOCKSTEP = 8.0
+"""Times real time that lockstep reaches on two cores, less where others compute."""
+OFFLINE = {Identify: 8.0, Design: 4.0, Compare: 4.0, Validate: 5.0, Ambient: 6.0}
+"""Seconds that other steps take."""
+SMALLEST = {"m": (1e3, "mm"), "N": (1e-3, "kN")}
+"""Factors to units in which peaks are short numbers."""
+
+
+def check_campaign(path: Path | str) -> Plan:
+    """Check a campaign file whole, and say what it will do.
+
+    Raises
+    ------
+    AbraceError
+        With a line for each mistake.
+    """
+    plan = Plan(CheckedCampaign(load_campaign(path)))
+    problems = plan.forecaster.refusals()
+    free, needed = shutil.disk_usage(".").free, plan.bytes_of_bags()
+    if needed > free:
+        problems.append(f"bags of about {_size(needed)}, expected less than the {_size(free)} free in {Path.cwd()}")
+    if problems:
+        refuse([f"campaign file {path}: {problem}" for problem in problems])
+    return plan
+
+
+class Plan:
+    """What a campaign will do.
+
+    Parameters
+    ----------
+    checked
+        The campaign.
+
+    Attributes
+    ----------
+    cares
+        What is not refused, but will go wrong as far as it can be predicted: a line each.
+    """
+
+    def __init__(self, checked: CheckedCampaign) -> None:
+        self.checked = checked
+        self.forecaster = Forecaster(checked)
+        self.cares = self.forecaster.cares()
+        self._before = _seconds_before(Path("results") / checked.campaign.name / "timing.json")
+
+    def seconds(self, name: str, task: Task) -> float:
+        """How long a step takes, about; as the last time, where there was one.
+
+        Parameters
+        ----------
+        name
+            Of the step.
+        task
+            What it does.
+        """
+        if not isinstance(task, RigTest):
+            return self._before.get(name, OFFLINE[type(task)])
+        if not self.checked.campaign.in_lockstep(task):
+            return STARTING + task.duration
+        return STARTING + task.duration / LOCKSTEP
+
+    def bytes_of_bags(self) -> int:
+        """Size of all bags, about."""
+        found = 0.0
+        for test in self.checked.campaign.tests.values():
+            rig = self.checked.laboratories.of(test).rig
+            numbers = len(rig.channel_names) + rig.groups
+            found += BYTES_OF_FACTS + BYTES_OF_A_NUMBER * numbers * test.duration * rig.sample_rate
+        return round(found)
+
+    def text(self) -> str:
+        """Steps, predicted peaks, cares, time and files, for a person."""
+        campaign = self.checked.campaign
+        tests = campaign.tests
+        steps = Table(
+            f"{campaign.name}: {_count(campaign.steps, 'step')}, {_count(tests, 'test')}",
+            ("step", "what", "about s"),
+            tuple(
+                (one.name, self._what(one.task), f"{self.seconds(one.name, one.task):.0f}") for one in campaign.steps
+            ),
+        )
+        self.forecaster.cares()
+        total = sum(self.seconds(name, task) for name, task in campaign.tasks.items())
+        folder = Path("results") / campaign.name
+        written = [
+            f"time: about {_duration(total)}",
+            f"writes: bags/{campaign.name}/TIME/ with {_count(tests, 'bag')}, about {_size(self.bytes_of_bags())}",
+            f"        {folder}/ with summary.json, report.md and a folder for each other step"
+            + (" (in place of what is there)" if folder.exists() else ""),
+        ]
+        tables = [steps.text()] + ([self._peaks().text()] if tests else [])
+        return "\n\n".join([*tables, "\n".join([*written, *(f"care: {care}" for care in self.cares)])])
+
+    def _what(self, task: Task) -> str:
+        if not isinstance(task, RigTest):
+            return type(task).__name__.lower()
+        how = "lockstep" if self.checked.campaign.in_lockstep(task) else "real time"
+        setup = self.checked.laboratories.of(task).setup
+        own = " ".join(setup.node.run) if setup.node else None
+        where = own or (f"{Path(setup.device).stem}, emulated" if setup.emulator and setup.device else setup.device)
+        what = [f"test of {task.duration:g} s in {how}", Path(setup.file).stem, *([where] if where else [])]
+        return ", ".join([*what, *([task.controller_name] if task.controller else [])])
+
+    def _peaks(self) -> Table:
+        kinds = (*UNITS, COMMAND)
+        rows, notes = [], []
+        for name in self.checked.campaign.tests:
+            found = self.forecaster.of(name)
+            rows.append((name, *(_shown(found.peaks.get(kind)) for kind in kinds)))
+            if found.note:
+                notes.append(f"{name}: {found.note}")
+        title = "Predicted peaks, and their share of table, sensors' range or interlock, and force limit"
+        return Table(title, ("", *kinds), tuple(rows), tuple(notes))
+
+
+def _shown(peak: Peak | None) -> str:
+    if peak is None:
+        return "-"
+    factor, unit = SMALLEST.get(peak.unit, (1.0, peak.unit))
+    return f"{factor * peak.value:.3g} {unit} ({100 * peak.share:.0f} %)"
+
+
+def _count(things: Sized, word: str) -> str:
+    return f"{len(things)} {word}{'' if len(things) == 1 else 's'}"
+
+
+def _size(count: float) -> str:
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s" if minutes else f"{rest} s"
+
+
+def _seconds_before(path: Path) -> dict[str, float]:
+    """How long the steps of the last campaign of this name took, from its timing.json; nothing where there is none."""
+    try:
+        steps = json.loads(path.read_text(encoding="utf-8"))["steps"]
+        return {step["name"]: float(step["wall_seconds"]) for step in steps}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}

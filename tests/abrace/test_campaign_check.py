@@ -1,0 +1,151 @@
+"""A campaign is checked whole before anything moves: what is wrong, what will go wrong, what it takes and writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from abrace.campaign.forecast import Peak
+from abrace.campaign.plan import Plan, check_campaign
+from abrace.cli import main
+from abrace_core.errors import AbraceError
+from abrace_core.linear_model import save_model
+from abrace_core.node import find_file
+from abrace_plant.rig.file import load_rig
+
+DEMO = Path(__file__).parents[2] / "src/abrace/campaigns/demo.yaml"
+EL_CENTRO = "{record: el_centro, peak_acceleration: 0.980665}"
+
+
+def checked(folder: Path, *steps: str, top: str = "rig: ncree_three_storey\nlockstep: true") -> Plan:
+    listed = "\n".join(f"  - {step}" for step in steps)
+    (folder / "day.yaml").write_text(f"name: day\n{top}\nsteps:\n{listed}\n")
+    return check_campaign(folder / "day.yaml")
+
+
+def problems(folder: Path, *steps: str, top: str = "rig: ncree_three_storey\nlockstep: true") -> list[str]:
+    with pytest.raises(AbraceError) as raised:
+        checked(folder, *steps, top=top)
+    start = f"campaign file {folder}/day.yaml: "
+    return [line.removeprefix(start) for line in str(raised.value).splitlines()]
+
+
+def test_everything_that_is_wrong_is_told_before_the_first_test(tmp_path: Path) -> None:
+    (tmp_path / "lqg.yaml").write_text("nothing: here")
+    (tmp_path / "no_bag").mkdir()
+    found = problems(
+        tmp_path,
+        "{name: a, test: {duration: 9.0}}",
+        f"{{name: b, test: {{duration: 9.0, ground_motion: {EL_CENTRO.replace('0.98', '30.')}}}}}",
+        "{name: c, test: {duration: 9.0, ground_motion: {record: records/none.csv}, controller: lqg.yaml}}",
+        "{name: d, test: {duration: 9.0, controller: {run: [abrace_lqg, skyhook]}, force_limit: [3e5]}}",
+        "{name: e, test: {duration: 9.0, excitation: {rms: 9.0, band: [0.0, 400.0], seed: 1}, sensor_faults: [a9=no]}}",
+        "{name: f, test: {duration: 1.0, controller: {run: laws/none.py}, force_limit: [1.0, 2.0]}}",
+        "{name: g, compare: {test: a, uncontrolled: ./no_bag}}",
+        "{name: h, design: {model: ./no_model, weights: lqg9}}",
+        "{name: i, validate: {test: a, model: ./no_model.json}}",
+    )
+    expected = [
+        "14 mistakes, nothing was started",
+        "step a: a lockstep test without any input",
+        "step b: test.ground_motion: ground motion el_centro is more than the table has: acceleration 30",
+        f"step c: test.ground_motion: ground motion {tmp_path}/records/none.csv: no such file, and no such name",
+        f"step c: test.controller: controller file {tmp_path}/lqg.yaml: nothing: unknown key",
+        "step d: test.controller: package abrace_lqg has no executable 'skyhook'",
+        "step d: test.force_limit: [300000.0] N, expected at most the capacity, 24516.6 N",
+        "step e: test.excitation: noise band 0.0 to 400.0 Hz: expected 0 <= lowest < highest < 250 Hz",
+        "step e: test.sensor_faults: sensor fault 'a9=no': expected CHANNEL=KIND",
+        f"step f: test.controller: {tmp_path}/laws/none.py: no such file, expected a Python program",
+        "step f: test.force_limit: [1.0, 2.0], expected one force [N] for each of 1 brace groups",
+        "step g: compare.uncontrolled: ",
+        f"step h: design.model: model file {tmp_path}/no_model/reduced.json: No such file",
+        "step h: design.weights: weights 'lqg9': unknown",
+        f"step i: validate.model: model file {tmp_path}/no_model.json: No such file",
+    ]
+    assert len(found) == len(expected), found
+    for line, start in zip(found, expected, strict=True):
+        assert line.startswith(start), f"{line}, expected {start}"
+
+
+@pytest.mark.parametrize(
+    ("top", "message"),
+    [
+        ("rig: none", "rig: rig 'none': unknown, expected a file"),
+        ("rig: ncree_three_storey\ndevice: none", "rig: device 'none': unknown, expected a file"),
+        ("rig: {file: five_storey, run: [abrace_plant, none]}", "rig: package abrace_plant has no executable 'none'"),
+    ],
+)
+def test_a_rig_that_is_not_there_is_told_once_however_many_tests_it_has(tmp_path: Path, top: str, message: str) -> None:
+    (found,) = problems(tmp_path, *(f"{{name: {name}, test: {{duration: 9.0}}}}" for name in "abc"), top=top)
+    assert found.startswith(message)
+
+
+def test_peaks_are_predicted_near_those_that_the_demo_measures() -> None:
+    plan = check_campaign(DEMO)
+    forecast = plan.forecaster.of("controlled")
+    assert forecast.note == "lqg3 as designed on the rig's own model"
+    measured = {"displacement": 0.02502, "acceleration": 1.713, "force": 15276.0, "command": 14519.0}
+    for kind, peak in measured.items():
+        assert forecast.peaks[kind].value == pytest.approx(peak, rel=0.06), kind
+    assert forecast.peaks["table"] == Peak("displacement", pytest.approx(0.0309, rel=0.01), 0.25, "m", "table")
+    assert plan.forecaster.of("uncontrolled").peaks["displacement"].value == pytest.approx(0.07101, rel=0.01)
+    assert not plan.cares
+
+
+def test_limits_that_will_be_exceeded_are_told_and_not_refused(tmp_path: Path) -> None:
+    plan = checked(
+        tmp_path,
+        f"{{name: strong, test: {{duration: 20.0, ground_motion: {EL_CENTRO.replace('0.98', '2.5')}}}}}",
+        "{name: pushed, test: {duration: 9.0, excitation: {rms: 4000.0, band: [0, 9.0], seed: 1}, force_limit: [5e3]}}",
+        f"{{name: own, test: {{duration: 9., ground_motion: {EL_CENTRO}, controller: {{run: [abrace_lqg, design]}}}}}}",
+    )
+    starts = [care.partition(" as predicted")[0] for care in plan.cares]
+    assert [start.split(" 0.")[0].split(" 1")[0] for start in starts] == [
+        "step strong: drift of storey 2",
+        "step strong: displacement x3",
+        "step strong: acceleration a3",
+        "step strong: stroke xf",
+        "step pushed: command U reaches its limit of 5000 N (force limit)",
+    ]
+    assert plan.cares[1].endswith("more than 0.095 m (interlock)")
+    assert plan.forecaster.of("own").note == "with zero command: a node of your own is not simulated"
+
+
+def test_a_design_that_its_model_refuses_is_refused_or_foretold_where_that_comes_later(tmp_path: Path) -> None:
+    rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
+    save_model(rig.model, tmp_path / "rig.json")
+    strict = "weights: lqg3, limits: {gain_margin: 40.0}"
+    (found,) = problems(tmp_path, f"{{name: lqg3, design: {{model: rig.json, {strict}}}}}")
+    assert found.startswith("step lqg3: design refused: gain margin")
+    text = DEMO.read_text().replace("weights: lqg3", strict)
+    (tmp_path / "demo.yaml").write_text(text)
+    (care,) = check_campaign(tmp_path / "demo.yaml").cares
+    assert care.startswith("step lqg3: design refused: gain margin")
+    assert care.endswith("as predicted with the model of the rig file")
+
+
+def test_rigs_of_one_campaign_have_one_sample_rate(tmp_path: Path) -> None:
+    rig = find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig").read_text()
+    assert "sample_rate: 500.0" in rig
+    (tmp_path / "slow.yaml").write_text(rig.replace("sample_rate: 500.0", "sample_rate: 400.0"))
+    test = f"duration: 9.0, ground_motion: {EL_CENTRO}"
+    found = problems(tmp_path, f"{{name: a, test: {{{test}}}}}", f"{{name: b, test: {{{test}, rig: slow.yaml}}}}")
+    assert found == ["rig: sample rates of 500 and 400 Hz, expected one for all tests"]
+
+
+def test_check_says_what_is_done_how_long_it_takes_and_what_is_written_and_moves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["campaign", "demo", "--check"]) == 0
+    said = capsys.readouterr().out
+    assert "demo: 7 steps, 4 tests" in said
+    assert "test of 100 s in lockstep, ncree_three_storey, lqg3" in said
+    assert "time: about 1 min 54 s" in said
+    assert "writes: bags/demo/TIME/ with 4 bags, about 49 MB" in said
+    assert "results/demo/" in said
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "day.yaml").write_text("name: day\nrig: none\nsteps: [{name: a, test: {duration: 1.0}}]")
+    assert main(["campaign", "day.yaml", "--check"]) == 2
+    assert "abrace: campaign file day.yaml: rig: rig 'none': unknown" in capsys.readouterr().err
