@@ -8,6 +8,7 @@ import pytest
 
 from abrace.campaign.forecast import Peak
 from abrace.campaign.plan import Plan, check_campaign
+from abrace.campaign.tasks import Compare
 from abrace.cli import main
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import save_model
@@ -123,6 +124,17 @@ def test_a_design_that_its_model_refuses_is_refused_or_foretold_where_that_comes
     (care,) = check_campaign(tmp_path / "demo.yaml").cares
     assert care.startswith("step lqg3: design refused: gain margin")
     assert care.endswith("as predicted with the model of the rig file")
+
+
+def test_the_campaign_of_the_skyhook_is_whole_and_sets_it_beside_lqg3() -> None:
+    plan = check_campaign(DEMO.parents[3] / "examples/skyhook/campaign.yaml")
+    tests = plan.checked.campaign.tests
+    assert [test.controller_name for name, test in tests.items() if "el_centro_" in name] == ["lqg3", "skyhook"]
+    compared = [task for task in plan.checked.campaign.tasks.values() if isinstance(task, Compare)]
+    assert {task.test: task.uncontrolled for task in compared} == {
+        f"{motion}_{law}": f"free_{motion}" for motion in ("el_centro", "loma_prieta") for law in ("lqg3", "skyhook")
+    }
+    assert not plan.cares
 
 
 def test_rigs_of_one_campaign_have_one_sample_rate(tmp_path: Path) -> None:

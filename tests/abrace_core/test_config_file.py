@@ -2,7 +2,7 @@
 
 import pytest
 
-from abrace_core.config_file import MOST_MISTAKES, Checked, expect_entries, read_config
+from abrace_core.config_file import MOST_MISTAKES, Checked, expect_entries, read_config, read_mapping
 from abrace_core.errors import AbraceError
 
 
@@ -49,3 +49,17 @@ def test_a_file_of_nothing_but_mistakes_is_cut_short(mistakes):
 def test_all_missing_and_unknown_entries_are_named():
     with pytest.raises(AbraceError, match=r"^inputs: no entry x1, a1; inputs\.q: unknown, expected x1, x2, a1$"):
         expect_entries(["x2", "q"], ["x1", "x2", "a1"], "inputs")
+
+
+def test_yaml_of_users_may_merge_mappings_and_write_powers_of_ten_as_they_like(tmp_path):
+    path = tmp_path / "file.yaml"
+    path.write_text("a: &base {p: 1, q: 2}\nb: {<<: *base, q: 1e6}\nc: {<<: *base}\nd: [-2.5E-3, 1.e3, 1e3x]\n")
+    assert read_mapping(path, "some") == {
+        "a": {"p": 1, "q": 2},
+        "b": {"p": 1, "q": 1e6},
+        "c": {"p": 1, "q": 2},
+        "d": [-2.5e-3, 1e3, "1e3x"],
+    }
+    path.write_text("a: {p: 1, p: 2}\n")
+    with pytest.raises(AbraceError, match=r"some file .*: not YAML \(key 'p' stands twice"):
+        read_mapping(path, "some")

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from abrace.campaign import drives, file, tasks
 from abrace.campaign.file import load_campaign
 from abrace.processes.group import find_executable
+from abrace_core.config_file import Checked
 from abrace_core.node import Parameter
 
 ROOT = Path(__file__).parents[2]
@@ -63,9 +65,18 @@ def test_nodes_in_commands_exist_and_take_the_parameters(page):
 
 def test_the_campaigns_in_the_page_are_valid_ones(tmp_path):
     examples = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs/campaigns.md").read_text(), re.DOTALL)
-    for example, steps in zip(examples, (7, 4, 3, 1), strict=True):
+    for example, steps in zip(examples, (7, 4, 3, 1, 3, 2, 10, 1), strict=True):
         (tmp_path / "campaign.yaml").write_text(example)
         assert len(load_campaign(tmp_path / "campaign.yaml").steps) == steps
+
+
+def test_every_key_of_a_campaign_file_is_named_in_its_page():
+    page = (ROOT / "docs/campaigns.md").read_text()
+    parts = [file._Campaign, file._Step, *vars(drives).values(), *vars(tasks).values()]
+    schemas = [part for part in parts if isinstance(part, type) and issubclass(part, Checked)]
+    keys = {field.alias or key for schema in schemas for key, field in schema.model_fields.items()} | {"matrix"}
+    assert {"low_cut", "force_limit", "damping_kept", "run", "validate"} <= keys
+    assert not {key for key in keys if not re.search(rf"\| .*`{key}`", page)}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

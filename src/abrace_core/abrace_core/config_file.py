@@ -12,7 +12,7 @@ import yaml
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
 MOST_MISTAKES = 12
 """Mistakes in one file that are told, in one line."""
@@ -27,12 +27,13 @@ class Checked(pydantic.BaseModel):
 class _Loader(yaml.SafeLoader):
     """YAML in which a duplicate key is an error (by default the last one silently wins), and 1e6 is a number."""
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+    def compose_mapping_node(self, anchor: dict[Any, yaml.Node]) -> yaml.MappingNode:
+        node: yaml.MappingNode = super().compose_mapping_node(anchor)
+        keys = [(key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
         for key in keys:
             if keys.count(key) > 1:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", node.start_mark)
-        return super().construct_mapping(node, deep)
+                raise yaml.composer.ComposerError(None, None, f"key {key[1]!r} stands twice", node.start_mark)
+        return node
 
 
 # YAML 1.1 asks for a point and a sign

@@ -51,6 +51,8 @@ if TYPE_CHECKING:
 
 PATIENCE = 30.0
 """Seconds in which the nodes of a test have to start and find each other."""
+SILENCE = 3.0
+"""Seconds in which a node of the user's has to publish diagnostics, or it is taken to have none."""
 STUCK = 30.0
 """Seconds without a new sample that end a test."""
 SEED = 7
@@ -140,7 +142,11 @@ class _Runner:
                 given = one.parameters | self.loop_parameters(place, lockstep)
                 self.start(group, name, replace(one, parameters=given), lockstep)
             monitor.configure("plant", PATIENCE, group.raise_if_died)
-            monitor.wait_until_matched(expected_matches(nodes), PATIENCE, group.raise_if_died)
+            expected = expected_matches(nodes)
+            for own in ["plant"] * (lab.setup.node is not None) + ["controller"] * isinstance(test.controller, OwnNode):
+                if not monitor.tells_partners(own, SILENCE, group.raise_if_died):
+                    del expected[own]
+            monitor.wait_until_matched(expected, PATIENCE, group.raise_if_died)
             with unless_over("plant"):
                 monitor.activate("plant", PATIENCE, group.raise_if_died)
             run_seconds, done = self.watch(group, monitor, samples, lab, shown)

@@ -126,6 +126,24 @@ class GraphMonitor:
             if time.monotonic() > deadline:
                 raise AbraceError(f"no diagnostics of {node} in namespace {self._namespace} within {timeout:g} s")
 
+    def tells_partners(self, node: str, timeout: float, check: Callable[[], None]) -> bool:
+        """Whether a node of the user's says in its diagnostics whom it has found, as ours do.
+
+        Parameters
+        ----------
+        node
+            Its name.
+        timeout
+            Seconds in which its first diagnostics are waited for.
+        check
+            Called after each spin; raises when a node has died.
+        """
+        deadline = time.monotonic() + timeout
+        while node not in self.values and time.monotonic() < deadline:
+            self.spin_once()
+            check()
+        return any(key.startswith(("publishers of ", "subscribers of ")) for key in self.values.get(node, ()))
+
     def wait_until_matched(
         self, expected: Mapping[str, Mapping[str, int]], timeout: float, check: Callable[[], None]
     ) -> None:
