@@ -30,7 +30,9 @@ terminal and on `/rosout`, with what to do about it.
 All other topic names are relative: they can be remapped and put in a namespace. A wrong parameter ends the node with
 one line and exit code 2. Parameters are read once, when the node starts, but for those marked *live*. Parameters that
 are set together are all accepted or all refused. An empty list is `[]`; where a tool can't pass one, `['']` is the
-same. A life cycle node moves something, and does so only while it is active.
+same. `duration:=10` is taken for `10.0`; in a list all numbers are written alike, `[1.0, 2.5]`. A life cycle node moves
+something, and does so only while it is active. Two nodes of one name in one namespace take each other's commands: each
+logs that it is not alone.
 
 In lockstep the rig publishes its time on `clock` in its own namespace, so that no rig changes another's time. Tools
 with `use_sim_time` take it by `-r /clock:=/rig/clock`; for one rig alone, give `-r clock:=/clock` to the plant.

@@ -261,9 +261,14 @@ def test_a_missing_executable_is_answered_with_those_that_are_there(tmp_path, mo
     add_executable(tmp_path, "abrace_empty", "notes").chmod(0o644)
     (tmp_path / "lib" / "python3.12").mkdir()
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
-    with pytest.raises(AbraceError, match="abrace_plant has no executable 'plan', expected plant or record"):
+    with pytest.raises(
+        AbraceError, match="abrace_plant has no executable 'plan', expected one of plant, record, did you mean plant"
+    ):
         find_executable("abrace_plant", "plan")
-    with pytest.raises(AbraceError, match=r"no package 'abrace_pland'.* expected abrace_lqg or abrace_plant$"):
+    with pytest.raises(
+        AbraceError,
+        match=r"no package 'abrace_pland'.* expected one of abrace_lqg, abrace_plant, did you mean abrace_plant",
+    ):
         find_executable("abrace_pland", "plant")
     with pytest.raises(AbraceError, match="abrace_empty has no executables, expected 'notes'"):
         find_executable("abrace_empty", "notes")

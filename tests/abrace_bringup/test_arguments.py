@@ -58,7 +58,7 @@ def test_every_argument_has_a_description_and_only_what_has_to_be_given_a_defaul
         ("controller", "", "a ROS parameter file"),
         ("controller", "my_laws/", "or PACKAGE/EXECUTABLE of a node of your own"),
         ("controller", "none.yaml", "No such file"),
-        ("controller", "/", "Is a directory"),
+        ("controller", "/", "a folder, expected a file"),
         ("parameters", "none.yaml", "No such file"),
         ("bag", "", "a new directory"),
         ("bag", "/", "exists already"),
@@ -81,4 +81,4 @@ def test_a_file_without_parameters_is_refused(texts, tmp_path, content):
 def test_all_mistakes_are_named_at_once_names_as_well(texts):
     lines = mistakes({**texts, "duration": "x", "plant": "x"}, ["recrod", "duration", "zzz"])
     assert [line.partition(":")[0] for line in lines] == ["recrod", "zzz", "duration", "plant"]
-    assert lines[0] == "recrod: unknown, expected record"
+    assert lines[0] == "recrod: unknown, expected one of " + ", ".join(sorted(texts)) + ", did you mean record?"

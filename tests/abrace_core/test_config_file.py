@@ -30,8 +30,7 @@ def mistakes(tmp_path):
 
 def test_every_mistake_is_told_in_one_line_unknown_keys_first(mistakes):
     assert mistakes("nome: a\nrate: fast\nbraces: [{count: 2, colour: red}]") == (
-        "braces.0.colour: unknown key; nome: unknown key; name: key is missing; rate: 'fast', expected otherwise: "
-        "Input should be a valid number, unable to parse string as a number"
+        "braces.0.colour: unknown key; nome: unknown key, did you mean name?; rate: 'fast', expected a number"
     )
 
 

@@ -154,8 +154,8 @@ def test_zeroing_is_refused_without_readings_to_go_by(values):
         ("unit: mm", "unit: kN", "channels.x1.unit: 'kN', expected one of m, cm, mm, in"),
         ("x3:", "x4:", "channels: no entry x3; channels.x4: unknown, expected x1, x2, x3, xf"),
         ("range: [-10.0, 10.0]", "range: [1.0, 10.0]", "channels.x1.range: [1.0, 10.0], expected its ends around 0"),
-        ("x1: {gain: 10.0", "x1: {gain: 0.0", "channels.x1.gain: 0.0, expected otherwise"),
-        ("x1: {gain", "x1: {sign: 2, gain", "channels.x1.sign: 2, expected otherwise"),
+        ("x1: {gain: 10.0", "x1: {gain: 0.0", "channels.x1.gain: 0.0, expected"),
+        ("x1: {gain", "x1: {sign: 2, gain", "channels.x1.sign: 2, expected"),
         ("x1: {", "x1: {filter: {order: 2, frequency: 250.0}, ", "channels.x1.filter.frequency: 250 Hz, expected less"),
     ],
 )

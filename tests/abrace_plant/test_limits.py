@@ -86,13 +86,13 @@ def test_a_value_in_another_unit_is_refused(key, factor, tmp_path):
         ("drift", {"value": 0.1}, r"interlocks\.drift\.value: 0\.1 m, expected less than 0\.1 m, the displacement"),
         ("stroke", {"value": 0.045}, r"interlocks\.stroke\.value: 0\.045 m, expected less than 0\.04 m, the sensors"),
         ("table_velocity", {"value": 950.0}, r"interlocks\.table_velocity\.value: 950 m/s, expected less than"),
-        ("drift", {"time": 10.0}, r"interlocks\.drift\.time: 10\.0, expected otherwise: .*less than or equal to 2"),
-        ("drift", {"time": -1.0}, r"interlocks\.drift\.time: -1\.0, expected otherwise: "),
-        ("drift", {"action": "off"}, r"interlocks\.drift\.action: 'off', expected otherwise: .*'stop' or 'warn'"),
-        ("drift", {"reset": "self"}, r"interlocks\.drift\.reset: 'self', expected otherwise: .*'person'"),
+        ("drift", {"time": 10.0}, r"interlocks\.drift\.time: 10\.0, expected .*less than or equal to 2"),
+        ("drift", {"time": -1.0}, r"interlocks\.drift\.time: -1\.0, expected "),
+        ("drift", {"action": "off"}, r"interlocks\.drift\.action: 'off', expected 'stop' or 'warn'"),
+        ("drift", {"reset": "self"}, r"interlocks\.drift\.reset: 'self', expected 'person'"),
         ("stuck", {"value": 1.0}, r"interlocks\.stuck\.value: unknown key"),
         ("tilt", {"value": 1.0}, r"interlocks\.tilt: unknown key"),
-        ("drift", {"value": 0.0}, r"interlocks\.drift\.value: 0\.0, expected otherwise: .*greater than 0"),
+        ("drift", {"value": 0.0}, r"interlocks\.drift\.value: 0\.0, expected .*greater than 0"),
     ],
 )
 def test_a_wrong_interlock_is_refused_with_its_key(key, change, expected, tmp_path):

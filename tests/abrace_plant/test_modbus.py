@@ -141,8 +141,8 @@ def test_a_rig_that_is_too_fast_is_refused_by_the_devices_name(tmp_path):
     [
         ("  x3: {register: 4}\n", "", "inputs: no entry x3, expected x1, x2, x3, xf"),
         ("  x3: {register: 4}", "  x3: {register: 3}", "inputs.x3: register 3 belongs to another signal"),
-        ("  x3: {register: 4}", "  x3: {register: 70000}", "inputs.x3.register: 70000, expected otherwise"),
-        ("  x3: {register: 4}", "  x3: {register: 4, type: double}", "inputs.x3.type: 'double', expected otherwise"),
+        ("  x3: {register: 4}", "  x3: {register: 70000}", "inputs.x3.register: 70000, expected"),
+        ("  x3: {register: 4}", "  x3: {register: 4, type: double}", "inputs.x3.type: 'double', expected"),
         ("  x3: {register: 4}", "  x3: {register: 4}\n  x9: {register: 90}", "inputs.x9: unknown, expected x1, x2"),
     ],
 )

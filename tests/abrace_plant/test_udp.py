@@ -253,9 +253,9 @@ def test_exchange_runs_in_a_thread_of_its_own(target):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("timeout: 1.0", "timeout: 0", "timeout: 0, expected otherwise"),
-        ("address: 127.0.0.1\nport", "address: target\nport", "address: 'target', expected otherwise"),
-        ("kind: udp", "kind: tcp", "kind: 'tcp', expected otherwise"),
+        ("timeout: 1.0", "timeout: 0", "timeout: 0, expected"),
+        ("address: 127.0.0.1\nport", "address: target\nport", "address: 'target', expected"),
+        ("kind: udp", "kind: tcp", "kind: 'tcp', expected"),
         ("layout: ", "lay_out: ", "lay_out: unknown key"),
     ],
 )

@@ -115,11 +115,13 @@ sys.exit(run(Worker, ["worker"]))
 
 @pytest.mark.parametrize(("when", "output"), [("created", ""), ("working", "working\ncleaned up\n")])
 def test_a_signal_interrupts_the_work_of_an_offline_node_and_a_second_one_not_its_cleaning_up(when, output):
-    process = subprocess.Popen([sys.executable, "-c", WORKER, when], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-c", WORKER, when], stdout=-1, stderr=-1, text=True)
     first = process.stdout.readline()
     if first:
         process.send_signal(signal.SIGINT)
-    assert first + process.communicate(timeout=120)[0] == output
+    further, errors = process.communicate(timeout=120)
+    assert first + further == output
+    assert errors == "worker: stopped before it was done\n"
     assert process.returncode == 0
 
 

@@ -68,7 +68,7 @@ def expect_told_apart(faulty, well):
     assert {status.hardware_id for array in heard for status in array.status} == {faulty.namespace, well.namespace}
 
 
-def test_topics_can_be_remapped(graph):
+def test_topics_can_be_remapped_and_a_second_node_of_the_same_name_is_told(graph):
     graph.by_the_clock = True
     graph.start("plant", "-r", "response:=measured", "-r", "brace_command:=wanted")
     graph.start("excitation", "-r", "response:=measured", "-r", "brace_command:=wanted", duration=60.0)
@@ -76,3 +76,7 @@ def test_topics_can_be_remapped(graph):
     graph.until(lambda: measured and measured[-1].command[0], "a command in force")
     assert graph.node.count_publishers("response") == 0
     assert graph.node.count_publishers("brace_command") == 0
+    namesake = rclpy.create_node("plant", namespace=graph.namespace, context=graph.node.context)
+    told = f"another node is called {graph.namespace}/plant, expected one: end one of them"
+    graph.until(lambda: any(told in line for line in graph.output_of("plant")), "a line on the plant's terminal")
+    namesake.destroy_node()

@@ -11,30 +11,38 @@ from typing import TYPE_CHECKING
 
 from abrace.report.table import Table
 from abrace_core.errors import AbraceError
+from abrace_core.suggestion import expected_of
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterable, Iterator
 
+    from abrace_core.command_line import OneLineParser
+
 LONGEST_FACT = 100
 """Characters of a fact that are shown: rig files are facts too."""
 
 
-def add_bag_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_bag_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
     """Add `bag` and what it can do to the command's `commands`."""
     bag = commands.add_parser(
-        "bag", help="what is in a bag; its topics as CSV, MATLAB file or figure; the building in motion"
+        "bag",
+        help="what is in a bag; its topics as CSV, MATLAB file or figure; the building in motion",
+        example="abrace bag info bags/first",
     )
     actions = bag.add_subparsers(dest="action", required=True, metavar="ACTION")
     helps = {
-        "info": "topics, types, counts, rates, gaps, facts",
-        "csv": "one topic as comma-separated values",
-        "mat": "topics as structs of a MATLAB file",
-        "plot": "physical quantities of topics over time, as a PNG or SVG file",
-        "animate": "the building in motion, alone or beside another test, as a GIF file",
+        "info": ("topics, types, counts, rates, gaps, facts", ""),
+        "csv": ("one topic as comma-separated values", " response --output response.csv"),
+        "mat": ("topics as structs of a MATLAB file", " --output first.mat"),
+        "plot": (
+            "physical quantities of topics over time, as a PNG or SVG file",
+            " response --start-offset 5 --duration 10 --output first.png",
+        ),
+        "animate": ("the building in motion, alone or beside another test, as a GIF file", " --output first.gif"),
     }
-    for name, text in helps.items():
-        action = actions.add_parser(name, help=text)
+    for name, (text, further) in helps.items():
+        action = actions.add_parser(name, help=text, example=f"abrace bag {name} bags/first{further}")
         action.add_argument("bag", type=Path, help="bag directory or MCAP file")
         if name == "csv":
             action.add_argument("topics", metavar="topic", nargs=1, help="such as /response")
@@ -130,9 +138,7 @@ def _topics(bag: Path, asked: list[str]) -> list[str]:
     topics = [topic if topic in available or topic.startswith("/") else f"/{topic}" for topic in asked]
     missing = sorted(set(topics) - available)
     if missing:
-        raise AbraceError(
-            f"{bag}: no topic {missing[0]} in it, expected one of {', '.join(sorted(available)) or 'none'}"
-        )
+        raise AbraceError(f"{bag}: no topic {missing[0]} in it, {expected_of(missing[0], available)}")
     return topics
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from importlib.metadata import version
@@ -11,9 +10,12 @@ from typing import TYPE_CHECKING
 from abrace.bag_command import add_bag_parser, bag_command
 from abrace.processes.group import NodeDied, find_executable, terminate_as_exception
 from abrace.report_command import add_report_parser, report_command
+from abrace_core.command_line import OneLineParser
 from abrace_core.errors import AbraceError
+from abrace_core.ros_arguments import check_environment
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Sequence
     from pathlib import Path
 
@@ -22,31 +24,51 @@ WRONG_INPUT = 2
 """Exit code when something that was given is wrong, to a node or to this command; 1: something failed."""
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> OneLineParser:
     """The command's arguments."""
-    main_parser = argparse.ArgumentParser(prog="abrace", description="Tests of an actively braced building on ROS 2.")
+    main_parser = OneLineParser(
+        prog="abrace",
+        description="Tests of an actively braced building on ROS 2.",
+        example="abrace COMMAND --help, or abrace run abrace_plant plant --help for a node and its parameters",
+    )
     main_parser.add_argument("--version", action="version", version=f"abrace {version('abrace_core')}")
     commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    run = commands.add_parser("run", help="run a node: `ros2 run` for a machine without the ros2 command")
+    run = commands.add_parser(
+        "run",
+        help="run a node: `ros2 run` for a machine without the ros2 command",
+        example="abrace run abrace_plant plant --ros-args -p rig:=five_storey",
+    )
     run.add_argument("package", help="such as abrace_plant")
     run.add_argument("executable", help="such as plant")
-    run.add_argument("arguments", nargs=argparse.REMAINDER, help="as for ros2 run: --ros-args -p name:=value ...")
-    campaign = commands.add_parser("campaign", help="run the steps of a campaign file, then report")
+    run.add_argument("arguments", nargs="...", help="as for ros2 run: --ros-args -p name:=value ...")
+    campaign = commands.add_parser(
+        "campaign", help="run the steps of a campaign file, then report", example="abrace campaign my_day.yaml"
+    )
     campaign.add_argument("file", help="YAML file, or the name of one of ours: demo, five_controllers")
     campaign.add_argument("--check", action="store_true", help="only check the file, and say what it will do")
     add_report_parser(commands)
     add_bag_parser(commands)
     commands.add_parser(
-        "status", help="every node of the running graph: state, fault, rate, losses; live on a terminal"
+        "status",
+        help="every node of the running graph: state, fault, rate, losses; live on a terminal",
+        example="ROS_DOMAIN_ID=7 abrace status",
     )
-    commands.add_parser("stop", help="press the stop button of the whole laboratory (a protective stop)")
-    clear = commands.add_parser("clear", help="clear the latched fault of a node")
+    commands.add_parser(
+        "stop", help="press the stop button of the whole laboratory (a protective stop)", example="abrace stop"
+    )
+    clear = commands.add_parser("clear", help="clear the latched fault of a node", example="abrace clear plant")
     clear.add_argument("node", help="such as plant, or /rig/plant where there are several")
-    setting = commands.add_parser("set", help="set a parameter of a running node")
+    setting = commands.add_parser(
+        "set", help="set a parameter of a running node", example="abrace set controller next lqg2.yaml"
+    )
     setting.add_argument("node", help="such as controller, or /rig/controller")
     setting.add_argument("parameter", help="such as next")
     setting.add_argument("value", help="such as lqg2.yaml")
-    commands.add_parser(DEMO, help="the paper's tests, identification, design and comparison on the simulated rig")
+    commands.add_parser(
+        DEMO,
+        help="the paper's tests, identification, design and comparison on the simulated rig",
+        example="abrace demo, then look at results/demo/report.md",
+    )
     return main_parser
 
 
@@ -87,6 +109,7 @@ def _carry_out(given: argparse.Namespace) -> int:
     if given.command == "report":
         report_command(given)
         return 0
+    check_environment()
     from abrace.campaign.runner import run_campaign
     from abrace.report.writer import make_report
 
@@ -101,6 +124,7 @@ def _campaign_file(name: str) -> Path:
 
 
 def _operate(given: argparse.Namespace) -> int:
+    check_environment()  # before ROS is imported, which ends the process where it cannot go on
     from abrace.nodes import operator_commands
 
     match given.command:

@@ -6,16 +6,15 @@ PyYAML alone, and no ROS.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from abrace_core.errors import AbraceError
+from abrace_core.suggestion import did_you_mean, expected_of
+from abrace_core.yaml_text import read_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -76,7 +75,7 @@ def one_of(*choices: str) -> Callable[[str], str]:
 
     def read(text: str) -> str:
         if text not in choices:
-            raise ValueError(" or ".join(choices))
+            raise ValueError(" or ".join(choices) + did_you_mean(text, choices))
         return text
 
     return read
@@ -125,11 +124,10 @@ def record(text: str) -> str:
 def parameter_file(text: str) -> str:
     """A ROS parameter file."""
     try:
-        content = yaml.safe_load(Path(text).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"a ROS parameter file: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"a ROS parameter file: {' '.join(str(error).split())}") from error
+        content = read_yaml(text, "ROS parameter")
+    except AbraceError as error:
+        reason = str(error).removeprefix(f"ROS parameter file {text}: ")
+        raise ValueError(f"a ROS parameter file: {reason}") from error
     if not _holds_parameters(content):
         raise ValueError("a ROS parameter file: no ros__parameters in it")
     return text
@@ -182,8 +180,7 @@ def read_arguments(table: Sequence[Argument], texts: Mapping[str, str], given: C
     mistakes, values = [], {}
     for name in given:
         if name not in names:
-            near = difflib.get_close_matches(name, names, 1)
-            mistakes.append(f"{name}: unknown, expected {near[0] if near else 'one of ' + ', '.join(names)}")
+            mistakes.append(f"{name}: unknown, {expected_of(name, names)}")
     for argument in table:
         text = texts[argument.name]
         try:

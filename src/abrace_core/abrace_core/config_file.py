@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import pydantic
-import yaml
 
+from abrace_core.config_mistakes import mistakes
 from abrace_core.errors import AbraceError
+from abrace_core.yaml_text import read_yaml
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
 
 MOST_MISTAKES = 12
 """Mistakes in one file that are told, in one line."""
@@ -23,23 +23,6 @@ class Checked(pydantic.BaseModel):
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-
-class _Loader(yaml.SafeLoader):
-    """YAML in which a duplicate key is an error (by default the last one silently wins), and 1e6 is a number."""
-
-    def compose_mapping_node(self, anchor: dict[Any, yaml.Node]) -> yaml.MappingNode:
-        node: yaml.MappingNode = super().compose_mapping_node(anchor)
-        keys = [(key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise yaml.composer.ComposerError(None, None, f"key {key[1]!r} stands twice", node.start_mark)
-        return node
-
-
-# YAML 1.1 asks for a point and a sign
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"), list("-+.0123456789")
-)
 
 Schema = TypeVar("Schema", bound=Checked)
 
@@ -63,14 +46,9 @@ def read_mapping(path: Path | str, kind: str) -> dict[str, Any]:
     AbraceError
         If it cannot be read or is something else; the file is called a `kind`.
     """
-    try:
-        content = yaml.load(Path(path).read_text(encoding="utf-8"), _Loader)  # a safe loader
-    except OSError as error:
-        raise AbraceError(f"{kind} file {path}: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise AbraceError(f"{kind} file {path}: not YAML ({' '.join(str(error).split())})") from error
+    content = read_yaml(path, kind)
     if not isinstance(content, dict):
-        raise AbraceError(f"{kind} file {path}: expected keys and values, found {type(content).__name__}")
+        raise AbraceError(f"{kind} file {path}: {_found(content)}, expected keys and values")
     return content
 
 
@@ -85,31 +63,15 @@ def validated(content: Mapping[str, Any], schema: type[Schema], source: str) -> 
     try:
         return schema.model_validate(content)
     except pydantic.ValidationError as error:
-        found = mistakes(error)
-        told, left = found[:MOST_MISTAKES], len(found) - MOST_MISTAKES
-        raise AbraceError(f"{source}: {'; '.join([*told, *([f'and {left} more'] if left > 0 else [])])}") from error
+        found = mistakes(error, schema)
+        more = [f"and {len(found) - MOST_MISTAKES} more"] if len(found) > MOST_MISTAKES else []
+        raise AbraceError(f"{source}: {'; '.join([*found[:MOST_MISTAKES], *more])}") from error
 
 
-def mistakes(error: pydantic.ValidationError, tagged: Collection[str] = ()) -> list[str]:
-    """Each mistake that an `error` has, as `<key>: <value>, expected ...`, unknown keys first.
-
-    `tagged` are keys of which there are several kinds; the name of the kind that follows in pydantic's is left out.
-    """
-    # a misspelt key is both unknown and missing: report it as unknown
-    found = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
-    return [_mistake(one, tagged) for one in found]
-
-
-def _mistake(found: Mapping[str, Any], tagged: Collection[str]) -> str:
-    where = found["loc"]
-    key = ".".join(str(part) for i, part in enumerate(where) if not (i and where[i - 1] in tagged))
-    if not key:
-        return f"{found['input']!r}, expected keys and values"
-    if found["type"] == "extra_forbidden":
-        return f"{key}: unknown key"
-    if found["type"] == "missing":
-        return f"{key}: key is missing"
-    return f"{key}: {found['input']!r}, expected otherwise: {found['msg'].removeprefix('Value error, ')}"
+def _found(content: object) -> str:
+    if content is None:
+        return "empty"
+    return "a list" if isinstance(content, list) else f"{content!r:.60}"
 
 
 def expect_entries(given: Iterable[str], names: Sequence[str], key: str) -> None:

@@ -1,8 +1,26 @@
 """The exception for mistakes of the user."""
 
+from __future__ import annotations
+
+import json
+
 
 class AbraceError(Exception):
     """Something that the user gave is wrong: the message says what, where, and what was expected.
 
     A node's `main` prints the message as one line and exits with code 2.
     """
+
+
+def not_json(error: ValueError) -> str:
+    """What is wrong in a file that is no JSON, by the `error` that reading it gave.
+
+    >>> try:
+    ...     json.loads("[1, ]")
+    ... except ValueError as error:
+    ...     print(not_json(error))
+    not JSON, line 1, column 5
+    """
+    if isinstance(error, json.JSONDecodeError):
+        return f"not JSON, line {error.lineno}, column {error.colno}"
+    return "not JSON, a character that is not UTF-8"

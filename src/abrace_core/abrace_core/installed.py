@@ -6,6 +6,7 @@ import importlib.util
 from pathlib import Path
 
 from abrace_core.errors import AbraceError
+from abrace_core.suggestion import did_you_mean
 
 
 def find_file(name: str, package: str, folder: str, ending: str, kind: str) -> Path:
@@ -21,14 +22,23 @@ def find_file(name: str, package: str, folder: str, ending: str, kind: str) -> P
     """
     if name.endswith(ending) or "/" in name:
         if not Path(name).is_file():
-            raise AbraceError(f"{kind} file {name}: no such file")
+            what = "a folder, expected a file" if Path(name).is_dir() else f"no such file{_near(Path(name), ending)}"
+            raise AbraceError(f"{kind} file {name}: {what}")
         return Path(name)
     installed = _installed(package, folder)
     path = installed / f"{name}{ending}"
     if not path.is_file():
-        names = ", ".join(sorted(entry.name.removesuffix(ending) for entry in installed.glob(f"*{ending}")))
-        raise AbraceError(f"{kind} {name!r}: unknown, expected a file ending in {ending} or one of {names}")
+        names = sorted(entry.name.removesuffix(ending) for entry in installed.glob(f"*{ending}"))
+        raise AbraceError(
+            f"{kind} {name!r}: unknown, expected a file ending in {ending} or one of {', '.join(names)}"
+            f"{did_you_mean(name, names)}"
+        )
     return path
+
+
+def _near(path: Path, ending: str) -> str:
+    """The file beside a missing one that may be meant."""
+    return did_you_mean(path.name, [entry.name for entry in path.parent.glob(f"*{ending}") if entry.is_file()])
 
 
 def _installed(package: str, folder: str) -> Path:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from abrace_core import signals
-from abrace_core.errors import AbraceError
+from abrace_core.errors import AbraceError, not_json
 from abrace_core.files import write_text
 from abrace_core.tables import data_frame
 
@@ -348,9 +348,10 @@ def _content_of(path: Path | str) -> dict[str, Any]:
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
-        raise AbraceError(f"model file {path}: {error.strerror}") from error
+        what = "a folder, expected a file" if Path(path).is_dir() else error.strerror
+        raise AbraceError(f"model file {path}: {what}") from error
     except ValueError as error:
-        raise AbraceError(f"model file {path}: not JSON ({error})") from error
+        raise AbraceError(f"model file {path}: {not_json(error)}") from error
     if not isinstance(content, dict) or content.get("format") != FILE_FORMAT:
         raise AbraceError(f"model file {path}: expected a JSON object with format {FILE_FORMAT!r}")
     return content

@@ -228,10 +228,30 @@ def _csv_columns(path: Path) -> dict[str, NDArray[np.float64]]:
             names = [name.strip() for name in next(csv.reader(file), [])]
             values = np.loadtxt(file, delimiter=",", ndmin=2)
     except ValueError as error:
-        raise AbraceError(f"{path}: {error}, expected a line of names, then numbers with commas between") from error
+        raise AbraceError(
+            f"{path}, {_where(path)}, expected a line of names, then numbers with commas between"
+        ) from error
     if values.shape[1] != len(names):
         raise AbraceError(f"{path}: {len(names)} names and {values.shape[1]} columns, expected as many")
     return dict(zip(names, values.T, strict=True))
+
+
+def _where(path: Path) -> str:
+    """The first line of a file that is not the numbers that are expected."""
+    columns = 0
+    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+        if ";" in line or "\ufffd" in line:
+            return f"line {number}: {'a semicolon' if ';' in line else 'a character that is not UTF-8'}"
+        cells = line.split(",")
+        columns = columns or len(cells)
+        if len(cells) != columns:
+            return f"line {number}: {len(cells)} columns, {columns} in the first line"
+        for cell in cells if number > 1 else ():
+            try:
+                float(cell)
+            except ValueError:
+                return f"line {number}: {cell.strip()!r}"
+    return "no numbers in it"
 
 
 def _period(path: Path | str, name: str, time: NDArray[np.float64]) -> float:

@@ -23,7 +23,8 @@ from abrace.campaign.tasks import (
     Task,
     Validate,
 )
-from abrace_core.config_file import Checked, mistakes, read_mapping
+from abrace_core.config_file import Checked, read_mapping
+from abrace_core.config_mistakes import mistakes
 from abrace_core.errors import AbraceError
 
 TAGGED = ("ground_motion", "excitation", "controller", "rig")
@@ -150,7 +151,7 @@ def load_campaign(path: Path | str) -> Campaign:
     try:
         top = _Campaign.model_validate(content, context=context)
     except pydantic.ValidationError as error:
-        found += mistakes(error, TAGGED)
+        found += mistakes(error, _Campaign, TAGGED)
     listed, wrong = expanded(content.get("steps"))
     tasks = _read_steps(listed, context, wrong)
     found += wrong
@@ -173,7 +174,7 @@ def _read_steps(listed: list[tuple[int, Any]], context: dict[str, str], found: l
         try:
             step = _Step.model_validate(content, context=context)
         except pydantic.ValidationError as error:
-            found += [f"{where}: {mistake}" for mistake in mistakes(error, TAGGED)]
+            found += [f"{where}: {mistake}" for mistake in mistakes(error, _Step, TAGGED)]
             tasks.setdefault(str(name), None)
             continue
         given = step.tasks()

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.msg import Parameter, ParameterType
-from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rcl_interfaces.msg import Parameter
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import get_parameter_value
 from rclpy.signals import SignalHandlerOptions
@@ -22,6 +22,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.node import DIAGNOSTICS, TRANSIENT_LOCAL_QOS, RCLError, rcl_message
 from abrace_core.node.transport import for_streams
 from abrace_core.safety.stop_senders import UNNAMED
+from abrace_core.suggestion import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -119,7 +120,9 @@ class Operator:
         if names:
             raise AbraceError(f"node {given}: several, expected one of {', '.join(names)}")
         self.hear_all()
-        raise AbraceError(f"node {given}: not found, expected {' or '.join(sorted(self.reports)) or 'one that runs'}")
+        near = did_you_mean(given.rpartition("/")[2], [name.rpartition("/")[2] for name in self.reports])
+        expected = " or ".join(sorted(self.reports)) or "one that runs"
+        raise AbraceError(f"node {given}: not found, expected {expected}{near}")
 
     def call(self, service_type: type, service: str, request: Any) -> Any:
         """Call a service; returns its answer.
@@ -206,12 +209,6 @@ def set_parameter(node: str, parameter: str, value: str) -> int:
         raise wrong
     with Operator() as operator:
         name = operator.full_name(node)
-        described = operator.call(
-            DescribeParameters, f"{name}/describe_parameters", DescribeParameters.Request(names=[parameter])
-        )
-        types = [one.type for one in described.descriptors]
-        if types == [ParameterType.PARAMETER_DOUBLE] and given.type == ParameterType.PARAMETER_INTEGER:
-            given = get_parameter_value(f"{given.integer_value}.0")
         request = SetParameters.Request(parameters=[Parameter(name=parameter, value=given)])
         (result,) = operator.call(SetParameters, f"{name}/set_parameters", request).results
     if result.successful:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from abrace.processes import orphan_guard
 from abrace_core.errors import AbraceError
+from abrace_core.suggestion import expected_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -49,21 +50,17 @@ def find_executable(package: str, executable: str) -> Path:
         if _is_executable(path):
             return path
     if found := executables(package):
-        raise AbraceError(f"package {package} has no executable {executable!r}, expected {_one_of(found)}")
+        raise AbraceError(f"package {package} has no executable {executable!r}, {expected_of(executable, found)}")
     packages = {marker.name for prefix in prefixes for marker in (prefix / PACKAGE_MARKERS).glob("*")}
     if package in packages:
         raise AbraceError(f"package {package} has no executables, expected {executable!r} in lib/{package}")
-    raise AbraceError(
-        f"no package {package!r} in AMENT_PREFIX_PATH, expected {_one_of({p for p in packages if executables(p)})}"
-    )
+    # ROS's own generators of messages are packages with executables, too
+    usual = {p for p in packages if executables(p) and not p.startswith("rosidl_")}
+    raise AbraceError(f"no package {package!r} in AMENT_PREFIX_PATH, {expected_of(package, usual)}")
 
 
 def _is_executable(path: Path) -> bool:
     return path.is_file() and os.access(path, os.X_OK)
-
-
-def _one_of(names: Collection[str]) -> str:
-    return " or ".join(sorted(names)) or "one with executables, and there is none"
 
 
 class NodeDied(AbraceError):  # noqa: N818

@@ -53,7 +53,8 @@ from typing import Annotated, Literal, TypeVar
 import pydantic
 
 from abrace_core.config_file import Checked
-from abrace_core.errors import AbraceError
+from abrace_core.config_mistakes import mistakes
+from abrace_core.errors import AbraceError, not_json
 from abrace_core.response import PAPER_RIG, TABLE_1_EXPERIMENT
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
@@ -356,8 +357,6 @@ def _read(path: Path, schema: type[Content]) -> Content:
     except OSError as error:
         raise AbraceError(f"results file {path}: {error.strerror}") from error
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        raise AbraceError(f"results file {path}: {key or 'rows'}: expected {first['msg']}") from error
+        raise AbraceError(f"results file {path}: {mistakes(error, schema)[0]}") from error
     except ValueError as error:
-        raise AbraceError(f"results file {path}: not JSON ({error})") from error
+        raise AbraceError(f"results file {path}: {not_json(error)}") from error

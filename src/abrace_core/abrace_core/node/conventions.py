@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+import os
 import re
 import sys
 import threading
@@ -63,8 +64,11 @@ TRANSIENT_LOCAL_QOS = QoSProfile(
 
 
 def rcl_message(error: Exception) -> str:
-    """The message of an rcl error in one line, without the positions in rcl's source."""
-    return re.sub(r", at \S+:\d+", "", " ".join(str(error).split()))
+    """The message of an rcl error in one line, without the positions in rcl's source and what it says of itself."""
+    text = re.sub(r", at \S+:\d+|failed to initialize (rcl|logging): ", "", " ".join(str(error).split()))
+    if folder := re.fullmatch(r"Failed to create log directory '(.*)': (\d+)", text):
+        return f"log directory {folder[1]}: {os.strerror(int(folder[2]))}, expected ROS_LOG_DIR to name one"
+    return text
 
 
 def clearing(node: Node) -> str:
@@ -134,6 +138,7 @@ class AbraceNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self.publish_diagnostics, clock=steady)
         self.create_timer(MATCH_PERIOD, self._look_for_partners, clock=steady)
+        self._namesakes = self.create_timer(1.0, self._look_for_namesakes, clock=steady)
         # rclpy looks up the caller of each log message; the first look goes through all modules for 20 to 50 ms, which
         # a fault must not cost in the loop
         inspect.getframeinfo(cast("FrameType", inspect.currentframe()))
@@ -189,6 +194,15 @@ class AbraceNode(Node):
         if partners != self._partners:
             self._partners = partners
             self.publish_diagnostics()
+
+    def _look_for_namesakes(self) -> None:
+        """Log, once, that another node has this one's name: both take what is meant for the other."""
+        if self.get_node_names_and_namespaces().count((self.get_name(), self.get_namespace())) > 1:
+            self._namesakes.cancel()
+            self.get_logger().error(
+                f"another node is called {self.get_fully_qualified_name()}, expected one: end one of them (one "
+                "that was killed is heard of for 20 s more), or start this one with -r __ns:=/other"
+            )
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """(fault or None, message, values) of the node, for its diagnostics."""

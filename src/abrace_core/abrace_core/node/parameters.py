@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from abrace_core.errors import AbraceError
+from abrace_core.suggestion import did_you_mean
 
 _TYPES = {
     bool: RosParameter.Type.BOOL,
@@ -87,7 +88,7 @@ class Parameter:
 
     def expected(self) -> str:
         """Description of the valid values."""
-        kind = {bool: "true or false", int: "a whole number", float: "a number with a decimal point", str: "a text"}
+        kind = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
         text = (
             kind[self._element] if not isinstance(self.default, list) else f"a list like [{_EXAMPLES[self._element]}]"
         )
@@ -126,11 +127,14 @@ class Parameter:
         return AbraceError(f"parameter {self.name}: not given, expected {source}")
 
     def typed(self, given: RosParameter) -> RosParameter:
-        """`given` with the parameter's own type: a single value as a list of one, an empty list in any spelling.
+        """`given` with the parameter's own type: 10 for 10.0, a single value as a list of one, an empty list.
 
         `-p x:=[]` comes without a type, `ros2 param set NODE x []` as booleans, a list from Python as bytes; where a
         tool can't pass an empty list, `['']` is one.
         """
+        if self._element is float and given.type_ in (_TYPES[int], _ARRAY_TYPES[int]):
+            whole = given.type_ == _TYPES[int]
+            given = RosParameter(self.name, value=float(given.value) if whole else [float(one) for one in given.value])
         if not isinstance(self.default, list):
             return given
         value = list(given.value) if isinstance(given.value, (tuple, array)) else given.value
@@ -151,8 +155,13 @@ class Parameter:
         typed = self.typed(given)
         value = list(typed.value) if isinstance(typed.value, (tuple, array)) else typed.value
         if typed.type_ != self.ros_type or not self.holds(value):
-            raise AbraceError(f"parameter {self.name}: {given.value!r}, expected {self.expected()}")
+            raise AbraceError(f"parameter {self.name}: {given.value!r}, expected {self.expected()}{self._near(value)}")
         return value
+
+    def _near(self, value: Any) -> str:
+        """Which of the choices a wrong value may have meant."""
+        texts = [text for text in (value if isinstance(value, list) else [value]) if isinstance(text, str)]
+        return next((did_you_mean(text, self.choices) for text in texts if text not in self.choices), "")
 
     def holds(self, value: Any) -> bool:
         """Whether a value of the right type is in range."""
@@ -197,8 +206,9 @@ def declare(node: Node, table: Sequence[Parameter]) -> SimpleNamespace:
     known = {parameter.name for parameter in table} | set(node._parameters)
     for name in given:
         if name not in known and not name.startswith("qos_overrides."):
-            names = ", ".join(sorted(parameter.name for parameter in table))
-            raise AbraceError(f"parameter {name}: unknown, {node.get_name()} has {names}")
+            names = [parameter.name for parameter in table]
+            near = did_you_mean(name, names)
+            raise AbraceError(f"parameter {name}: unknown, {node.get_name()} has {', '.join(sorted(names))}{near}")
     for parameter in table:
         if parameter.required and not parameter.default and parameter.name not in given:
             raise parameter.missing()

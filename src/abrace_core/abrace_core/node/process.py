@@ -30,6 +30,7 @@ from abrace_core.node import real_time
 from abrace_core.node.conventions import AbraceNode, Described, RCLError, rcl_message
 from abrace_core.node.threads import LONGEST_WAIT
 from abrace_core.node.transport import for_streams
+from abrace_core.ros_arguments import check_environment, mistake_in
 
 EVENTS_WHEN_LATE = 3
 """Callbacks between two ticks of a node that is late: without the answers in them it cannot catch up."""
@@ -175,11 +176,12 @@ def _initialize(arguments: list[str]) -> None:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         extra = remove_ros_args(arguments)[1:]
     except Exception as error:
-        raise AbraceError(f"arguments: {rcl_message(error)}") from error
+        raise AbraceError(mistake_in(arguments) or f"ROS: {rcl_message(error)}") from error
     if get_logger_effective_level("rcl") == LoggingSeverity.FATAL:
         set_logger_level("rcl", LoggingSeverity.UNSET)
     if extra:
-        raise AbraceError(f"argument {extra[0]!r}: unknown, parameters are given as --ros-args -p name:=value")
+        hint = "" if "--ros-args" in arguments else ", did you leave out --ros-args?"
+        raise AbraceError(f"argument {extra[0]!r}: unknown, expected --ros-args -p name:=value{hint}")
 
 
 def _close(node: AbraceNode | None, program: str) -> int:
@@ -239,6 +241,7 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
     signals = _Signals()
     node: AbraceNode | None = None
     try:
+        check_environment()
         if END_WITH in os.environ:
             _end_with(os.environ[END_WITH])
         with for_streams() if getattr(create, "streams", False) else contextlib.nullcontext():
@@ -259,5 +262,7 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
         exit_code = 0
     finally:
         _ignore_signals()
+        if signals.stopped and hasattr(node, "work"):
+            print(f"{program}: stopped before it was done", file=sys.stderr, flush=True)
         closing_code = _close(node, program)
     return exit_code or closing_code

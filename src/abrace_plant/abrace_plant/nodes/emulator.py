@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import gc
 import json
 import os
@@ -10,15 +9,20 @@ import signal
 import sys
 from pathlib import Path
 
+from abrace_core.command_line import OneLineParser
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_plant.emulator.emulator import Emulator
 from abrace_plant.rig.file import load_rig
 
 
-def arguments() -> argparse.ArgumentParser:
+def arguments() -> OneLineParser:
     """The program's arguments."""
-    parser = argparse.ArgumentParser(prog="emulator", description="A rig behind a device file, with faults on demand.")
+    parser = OneLineParser(
+        prog="emulator",
+        description="A rig behind a device file, with faults on demand.",
+        example="abrace run abrace_plant emulator --rig my_rig.yaml --device my_device.yaml --fault loss=0.01",
+    )
     parser.add_argument("--rig", type=Path, required=True, help="rig file; its sample_rate is that of the ticks")
     parser.add_argument("--device", type=Path, required=True, help="device file of the kind udp or modbus")
     parser.add_argument("--bridge", default="127.0.0.1", help="address that samples are sent to (127.0.0.1)")

@@ -49,7 +49,8 @@ def read_mat(name: str, path: Path, channel: str | None) -> Reading:
     try:
         variables = load_matlab(path)
     except ValueError as error:
-        raise record_error(name, f"not read as a MATLAB file of version 4 to 7.2 ({error})") from error
+        damage = " (damaged)" if "damaged" in str(error) else ""
+        raise record_error(name, f"not read as a MATLAB file of version 4 to 7.2{damage}") from error
     arrays = _arrays({key: value for key, value in variables.items() if not key.startswith("__")}, "")
     series = [key for key, values in arrays.items() if _is_series(values)]
     listed = ", ".join(f"{key} ({' x '.join(map(str, values.shape))})" for key, values in arrays.items()) or "none"

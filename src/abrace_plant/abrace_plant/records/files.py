@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from abrace_core.errors import AbraceError
+from abrace_core.suggestion import did_you_mean
 from abrace_plant.records.reading import UNITS, Reading, RecordText, record_error
 from abrace_plant.records.record import Record
 from abrace_plant.records.strong_motion_formats import KNET_ENDINGS, V2_ENDINGS, read_knet, read_v2
@@ -68,7 +69,8 @@ def read_record(
         is_folder = path.is_dir()
         reading = _read(name, path, is_folder, channel)
     except FileNotFoundError as error:
-        raise record_error(name, f"no such file, and no such name (names: {', '.join(KNOWN_RECORDS)})") from error
+        near = did_you_mean(name, [*KNOWN_RECORDS, *_files_beside(path)])
+        raise record_error(name, f"no such file, and no such name (names: {', '.join(KNOWN_RECORDS)}){near}") from error
     except (OSError, ValueError) as error:
         raise record_error(name, getattr(error, "strerror", None) or str(error)) from error
     if reading.unit is None and unit is None:
@@ -80,6 +82,10 @@ def read_record(
     if not np.isfinite(acceleration).all():
         raise record_error(name, "a value beyond all numbers in m/s^2, expected an acceleration")
     return Record(record_name(name), _period(name, reading.sample_period, sample_period), acceleration)
+
+
+def _files_beside(path: Path) -> list[str]:
+    return [str(entry) for entry in path.parent.glob("*") if entry.is_file()]
 
 
 def _period(name: str, stated: float | None, given: float | None) -> float:

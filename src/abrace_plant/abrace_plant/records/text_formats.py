@@ -75,6 +75,10 @@ def read_csv(file: RecordText, channel: str | None) -> Reading:
         Name of the acceleration's column; needed where there are several.
     """
     (header_line, header), *content = file.content()
+    if ";" in header:
+        raise file.error(
+            f"{header[:60]!r}: semicolons, expected commas between columns and points in numbers", header_line
+        )
     forms = [_COLUMN.match(cell.strip(' "')) for cell in header.split(",")]
     names = [form["name"].lower() if form else "" for form in forms]
     units = [form["unit"] if form else None for form in forms]

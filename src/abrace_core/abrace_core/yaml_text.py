@@ -1,0 +1,77 @@
+"""YAML files that people write, with errors in words. Launch files use it: PyYAML and the standard library alone."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from abrace_core.errors import AbraceError
+
+_IN_WORDS = (
+    (r"'\\t'", "a tab, expected spaces"),
+    (r"mapping values are not allowed", "a second colon, or a line indented too far, expected `key: value`"),
+    (r"expected <block end>", "a line that is indented otherwise than the one before, expected the same or two more"),
+    (r"could not find expected ':'", "a line without a colon, expected `key: value`"),
+    (r"expected ',' or '[\]}]'", "a bracket that is not closed, or a comma that is missing"),
+    (r"end of stream|the stream end|<stream end>", "a quotation mark or bracket that is not closed"),
+    (r"found undefined alias|expected alphabetic|anchor", "a text that begins with * or &, expected it in quotes"),
+    (r"found character .* that cannot start", "a text that begins with @, ` or %, expected it in quotes"),
+    (r"expected a single document", "a line of three dashes, expected one document"),
+    (r"found unhashable key|expected a mapping", "a key that is a list or mapping, expected a text"),
+)
+_REAL_WITHOUT_POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML in which a duplicate key is an error, and 1e-3 a number; in YAML 1.1 the last key wins, 1e-3 is a text."""
+
+    def compose_mapping_node(self, anchor: dict[Any, yaml.Node]) -> yaml.MappingNode:
+        node: yaml.MappingNode = super().compose_mapping_node(anchor)
+        known: set[tuple[str, str]] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                if (key.tag, key.value) in known:
+                    raise yaml.composer.ComposerError(None, None, f"key {key.value!r} stands twice", key.start_mark)
+                known.add((key.tag, key.value))
+        return node
+
+
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _REAL_WITHOUT_POINT, list("-+.0123456789"))
+
+
+def read_yaml(path: Path | str, kind: str) -> Any:
+    """What stands in a YAML file, which errors call a `kind`, as "rig".
+
+    Raises
+    ------
+    AbraceError
+        If there is no such file, or it is no YAML: in which line, and what is wrong there.
+    """
+    where = f"{kind} file {path}"
+    try:
+        return parse_yaml(Path(path).read_text(encoding="utf-8"), where)
+    except OSError as error:
+        raise AbraceError(
+            f"{where}: {'a folder, expected a file' if Path(path).is_dir() else error.strerror}"
+        ) from error
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        raise AbraceError(f"{where}: line {line}: not YAML: a character that is not UTF-8, expected UTF-8") from error
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """What a YAML `text` says, which stands `where`; an AbraceError says what is wrong in which line."""
+    try:
+        return yaml.load(text, _Loader)  # a safe loader
+    except yaml.MarkedYAMLError as error:
+        mark, problem = error.problem_mark or error.context_mark, error.problem or ""
+        line = f": line {mark.line + 1}" if mark else ""
+        if "stands twice" in problem:
+            raise AbraceError(f"{where}{line}: {problem}, expected once") from error
+        words = next((words for pattern, words in _IN_WORDS if re.search(pattern, problem)), f"{problem}")
+        raise AbraceError(f"{where}{line}: not YAML: {words}") from error
+    except yaml.YAMLError as error:
+        raise AbraceError(f"{where}: not YAML: a character that no text has, expected a text file") from error
