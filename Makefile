@@ -83,5 +83,5 @@ soak: tools  ## long runs of the logger, ends of nodes and launches, 20 minutes:
 	@$(ENVIRONMENT)
 	python benchmarks/soak.py
 
-clean:  ## remove what was built and made (not bags)
-	@rm -rf .venv .sourced ros2_ws/build ros2_ws/install ros2_ws/log results
+clean:  ## remove what was built (results, bags and whatever else a person made stay)
+	@rm -rf .venv .sourced ros2_ws/build ros2_ws/install ros2_ws/log
