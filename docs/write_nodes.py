@@ -20,7 +20,7 @@ PAGE = Path(__file__).parent / "nodes.md"
 INTRODUCTION = """# Nodes
 
 Written by `python docs/write_nodes.py` from the tables in the nodes' source: what a node declares is what stands here.
-With `--help` a node prints its parameters and what they may be, with `--version` which abrace it is of.
+With `--help` a node prints an example, its parameters and what they may be, with `--version` which abrace it is of.
 
 Every node publishes its state on `/diagnostics`, once a second and when it changes, where `rqt_robot_monitor` and
 `diagnostic_aggregator` look for it. A status has the node's full name (`rig/plant: state`) and the namespace as
@@ -121,6 +121,8 @@ def page() -> str:
             parts.append(f"## {name}\n")
             parts.append(f"`abrace run {package} {name}`{' (life cycle node)' if lifecycle else ''}: {summary}\n")
             parts.append("\n".join(textwrap.wrap(topics, 120)) + "\n")
+            example = next(line for line in (module.__doc__ or "").splitlines() if line.startswith("abrace run "))
+            parts.append(f"For example `{example}`\n")
             parts.append("| parameter | type | default | allowed | what it is |\n|---|---|---|---|---|")
             parts.append("\n".join(row(parameter) for parameter in table) + "\n")
     return "\n".join(parts)

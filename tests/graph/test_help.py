@@ -2,10 +2,17 @@
 
 import importlib
 import re
+import shlex
 from pathlib import Path
 
 import pytest
 
+from abrace.cli import parser
+
+COMMANDS = [
+    *((name,) for name in ("run", "campaign", "report", "demo", "status", "stop", "clear", "set", "bag")),
+    *(("bag", name) for name in ("info", "csv", "mat", "plot")),
+]
 PAGE = (Path(__file__).parents[2] / "docs/nodes.md").read_text()
 NODES = re.findall(r"^`abrace run (\w+) (\w+)`", PAGE, re.MULTILINE)
 
@@ -17,10 +24,24 @@ def test_help_says_what_a_node_is_and_every_parameter_with_its_default(package, 
     text = capsys.readouterr().out
     assert f"`{name}`" in text.splitlines()[0]
     assert f"ros2 run (or abrace run) {package} {name} --ros-args -p NAME:=VALUE ..." in text
+    (example,) = re.findall(r"^example: (abrace run .*)$", text, re.MULTILINE)
+    assert example.startswith(f"abrace run {package} {name} --ros-args -")
+    assert set(re.findall(r"-p (\w+):=", example)) <= set(re.findall(r"^  -p (\w+):=", text, re.MULTILINE))
+    assert f"`{example}`" in PAGE
     section = PAGE.partition(f"\n## {name}\n")[2].partition("\n## ")[0]
     parameters = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
     assert parameters
     assert re.findall(r"^  -p (\w+):=\S", text, re.MULTILINE) == parameters
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_every_command_has_an_example_that_its_parser_takes(words, capsys):
+    with pytest.raises(SystemExit):
+        parser().parse_args([*words, "--help"])
+    (example,) = re.findall(r"^example: (.*)$", capsys.readouterr().out, re.MULTILINE)
+    given = shlex.split(example.partition(",")[0])
+    assert given[given.index("abrace") + 1 :][: len(words)] == list(words)
+    parser().parse_args(given[given.index("abrace") + 1 :])
 
 
 def test_version_is_abraces(monkeypatch, capsys):

@@ -14,6 +14,7 @@ class OneLineParser(argparse.ArgumentParser):
 
     def __init__(self, *, example: str = "", **options: object) -> None:
         options.setdefault("allow_abbrev", False)
+        options.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         if example:
             options["epilog"] = f"example: {example}"
         super().__init__(**options)  # type: ignore[arg-type]

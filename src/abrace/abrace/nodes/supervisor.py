@@ -1,5 +1,7 @@
 """The node `supervisor`: begins a test when all nodes have found each other, and ends it after its last signal.
 
+abrace run abrace supervisor --ros-args -p inputs:=[brace_command=controller] -p signals:=[ground_motion]
+
 With it `ros2 launch` runs a test as a campaign does: the rig stands still until everything is recorded. Signals are
 those of nodes that report `signal` and `elapsed` in their diagnostics: `ground_motion` and `excitation`.
 """

@@ -1,4 +1,7 @@
-"""The node `logger`: records topics, raw, to an MCAP bag that the standard tools read."""
+"""The node `logger`: records topics, raw, to an MCAP bag that the standard tools read.
+
+abrace run abrace_bags logger --ros-args -p output:=bags/first -p topics:=[response,brace_command]
+"""
 
 from __future__ import annotations
 

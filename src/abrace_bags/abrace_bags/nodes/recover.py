@@ -1,4 +1,7 @@
-"""The node `recover`: a whole bag out of one that was cut off or damaged."""
+"""The node `recover`: a whole bag out of one that was cut off or damaged.
+
+abrace run abrace_bags recover --ros-args -p bag:=bags/broken -p output:=bags/recovered
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The node `replay`: publishes a bag's messages again as they came from the wire, by the clock or in lockstep."""
+"""The node `replay`: publishes a bag's messages again as they came from the wire, by the clock or in lockstep.
+
+abrace run abrace_bags replay --ros-args -p bag:=bags/first -p topics:=[response] -p lockstep:=true
+"""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from abrace_core.errors import AbraceError
-from abrace_core.node.parameters import Parameter, declare, parameter_help, refuse_unknown_types
+from abrace_core.node.parameters import Parameter, as_given, declare, parameter_help, refuse_unknown_types
 
 RCLError = rclpy_implementation.RCLError
 
@@ -78,11 +78,14 @@ def clearing(node: Node) -> str:
 
 
 def _description(node: type, name: str, table: Sequence[Parameter]) -> str:
-    about = (sys.modules[node.__module__].__doc__ or "").partition("\n\n")[0]
+    text = sys.modules[node.__module__].__doc__ or ""
+    about, _, further = text.partition("\n\n")
     package = node.__module__.partition(".")[0]
     program = f"python {sys.argv[0]}" if package == "__main__" else f"ros2 run (or abrace run) {package} {name}"
     usage = f"{program} --ros-args -p NAME:=VALUE ..."
-    return f"{about}\n\n{usage}\n\n{parameter_help(table)}"
+    example = next((line for line in further.splitlines() if line.startswith("abrace run ")), "")
+    example = example or f"{program} --ros-args -p {as_given(table[0])}"
+    return f"{about}\n\n{usage}\nexample: {example}\n\n{parameter_help(table)}"
 
 
 class Described(Exception):  # noqa: N818

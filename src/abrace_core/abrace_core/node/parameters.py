@@ -179,11 +179,16 @@ def parameter_help(table: Sequence[Parameter]) -> str:
     """A table's parameters for a terminal: each as it is given, its description and what it may be."""
     lines = []
     for parameter in table:
-        default = "..." if parameter.required and not parameter.default else _as_given(parameter.default)
-        lines.append(f"  -p {parameter.name}:={default}")
+        lines.append(f"  -p {as_given(parameter)}")
         described = f"{parameter.description} ({parameter.expected()})"
         lines += textwrap.wrap(described, 100, initial_indent=" " * 8, subsequent_indent=" " * 8)
     return "\n".join(lines)
+
+
+def as_given(parameter: Parameter) -> str:
+    """A parameter with its default as it is given, `name:=value`."""
+    default = "..." if parameter.required and not parameter.default else _as_given(parameter.default)
+    return f"{parameter.name}:={default}"
 
 
 def _as_given(value: Any) -> str:

@@ -1,6 +1,6 @@
 """The node `controller`: Eq. (13) at the rig's sample rate, from a parameter file that `design` wrote.
 
-ros2 run abrace_lqg controller --ros-args --params-file lqg3.yaml
+abrace run abrace_lqg controller --ros-args --params-file results/lqg3.yaml
 """
 
 from __future__ import annotations

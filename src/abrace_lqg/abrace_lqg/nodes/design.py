@@ -1,4 +1,7 @@
-"""The node `design`: a model file and a weights file to a controller's parameter file, and its proof."""
+"""The node `design`: a model file and a weights file to a controller's parameter file, and its proof.
+
+abrace run abrace_lqg design --ros-args -p model:=model/reduced.json -p weights:=lqg3 -p output:=lqg3.yaml
+"""
 
 from __future__ import annotations
 

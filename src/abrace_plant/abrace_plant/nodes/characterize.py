@@ -1,4 +1,7 @@
-"""The node `characterize`: measures a rig as the paper measured its building, and compares it with the paper."""
+"""The node `characterize`: measures a rig as the paper measured its building, and compares it with the paper.
+
+abrace run abrace_plant characterize --ros-args -p rig:=my_rig.yaml -p output:=results/rig
+"""
 
 from __future__ import annotations
 

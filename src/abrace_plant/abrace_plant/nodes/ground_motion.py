@@ -1,4 +1,7 @@
-"""The node `ground_motion`: plays a record, white noise or a multisine, one value for each sample of the rig."""
+"""The node `ground_motion`: plays a record, white noise or a multisine, one value for each sample of the rig.
+
+abrace run abrace_plant ground_motion --ros-args -p record:=quake.csv -p peak_acceleration:=0.98
+"""
 
 from __future__ import annotations
 

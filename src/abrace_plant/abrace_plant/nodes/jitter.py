@@ -1,4 +1,7 @@
-"""The node `jitter`: how regular a running rig's samples come, beside a bare timer and a bare echo in the same run."""
+"""The node `jitter`: how regular a running rig's samples come, beside a bare timer and a bare echo in the same run.
+
+abrace run abrace_plant jitter --ros-args -p duration:=60 -p output:=results/jitter
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The node `plant`: a simulated rig with exactly the topics of the real one."""
+"""The node `plant`: a simulated rig with exactly the topics of the real one.
+
+abrace run abrace_plant plant --ros-args -p rig:=five_storey -p seed:=3
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 """The node `record`: intensity measures and response spectra of a record, as read and as played, and the table's share.
 
+abrace run abrace_plant record --ros-args -p record:=quake.csv -p unit:=g -p output:=results/quake
+
 It says what `ground_motion` would refuse.
 """
 

@@ -1,4 +1,7 @@
-"""The node `robot_description`: prints a rig's robot description (URDF), as robot_state_publisher takes it."""
+"""The node `robot_description`: prints a rig's robot description (URDF), as robot_state_publisher takes it.
+
+abrace run abrace_plant robot_description --ros-args -p rig:=my_rig.yaml
+"""
 
 from __future__ import annotations
 

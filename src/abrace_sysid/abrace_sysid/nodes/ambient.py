@@ -1,4 +1,7 @@
-"""The node `ambient`: modes from bags of tests without any drive, and whether the building has changed."""
+"""The node `ambient`: modes from bags of tests without any drive, and whether the building has changed.
+
+abrace run abrace_sysid ambient --ros-args -p bag:=bags/after -p before:=bags/before -p output:=results/ambient
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The node `excitation`: banded white noise or a multisine as brace commands, for identification."""
+"""The node `excitation`: banded white noise or a multisine as brace commands, for identification.
+
+abrace run abrace_sysid excitation --ros-args -p rms:=1800 -p band:=[0,30] -p duration:=300
+"""
 
 from __future__ import annotations
 

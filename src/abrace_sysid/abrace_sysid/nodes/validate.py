@@ -1,4 +1,7 @@
-"""The node `validate`: a bag against its simulation by a model, against the same test without control, or both."""
+"""The node `validate`: a bag against its simulation by a model, against the same test without control, or both.
+
+abrace run abrace_sysid validate --ros-args -p bag:=bags/first -p model:=model/model.json -p output:=check
+"""
 
 from __future__ import annotations
 
