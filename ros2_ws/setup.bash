@@ -24,4 +24,7 @@ if [ -d "$_abrace_venv/share/ament_index" ]; then
   esac
 fi
 . "$_abrace_workspace/install/local_setup.bash"
+if [ -n "${PS1:-}" ] && command -v register-python-argcomplete > /dev/null; then
+  eval "$(register-python-argcomplete abrace)"
+fi
 unset _abrace_workspace _abrace_venv

@@ -14,6 +14,7 @@ KEYS = {
     "matplotlib": "python3-matplotlib",
     "pandas": "python3-pandas",
     "numba": "python3-numba",
+    "argcomplete": "python3-argcomplete",
     "yaml": "python3-yaml",
     "pytest": "python3-pytest",
     "hypothesis": "python3-hypothesis",

@@ -7,6 +7,7 @@ import sys
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
+from abrace import completion
 from abrace.bag_command import add_bag_parser, bag_command
 from abrace.processes.group import NodeDied, find_executable, terminate_as_exception
 from abrace.report_command import add_report_parser, report_command
@@ -16,7 +17,7 @@ from abrace_core.ros_arguments import check_environment
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
 DEMO = "demo"
@@ -38,13 +39,14 @@ def parser() -> OneLineParser:
         help="run a node: `ros2 run` for a machine without the ros2 command",
         example="abrace run abrace_plant plant --ros-args -p rig:=five_storey",
     )
-    run.add_argument("package", help="such as abrace_plant")
-    run.add_argument("executable", help="such as plant")
+    _completed(run.add_argument("package", help="such as abrace_plant"), completion.packages)
+    _completed(run.add_argument("executable", help="such as plant"), completion.nodes)
     run.add_argument("arguments", nargs="...", help="as for ros2 run: --ros-args -p name:=value ...")
     campaign = commands.add_parser(
         "campaign", help="run the steps of a campaign file, then report", example="abrace campaign my_day.yaml"
     )
-    campaign.add_argument("file", help="YAML file, or the name of one of ours: demo, five_controllers")
+    file = campaign.add_argument("file", help="YAML file, or the name of one of ours: demo, five_controllers")
+    _completed(file, completion.campaigns)
     campaign.add_argument("--check", action="store_true", help="only check the file, and say what it will do")
     add_report_parser(commands)
     add_bag_parser(commands)
@@ -72,9 +74,16 @@ def parser() -> OneLineParser:
     return main_parser
 
 
+def _completed(action: argparse.Action, completer: Callable[..., Iterable[str]]) -> None:
+    """Have the shell complete an argument by what the `completer` gives."""
+    action.completer = completer  # type: ignore[attr-defined]
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point, with the `arguments` of the command line by default; returns the exit code."""
-    given = parser().parse_args(arguments)
+    known = parser()
+    completion.complete(known)
+    given = known.parse_args(arguments)
     try:
         with terminate_as_exception():
             code = _carry_out(given)

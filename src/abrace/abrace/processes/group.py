@@ -37,26 +37,35 @@ def find_executable(package: str, executable: str) -> Path:
     AbraceError
         Saying which executables the package has, or which packages with executables there are.
     """
-    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    if not prefixes:
+    if not prefixes():
         raise AbraceError("AMENT_PREFIX_PATH is not set: expected ros2_ws/setup.bash to be sourced first")
-
-    def executables(name: str) -> set[str]:
-        folders = (prefix / "lib" / name for prefix in prefixes)
-        return {path.name for folder in folders for path in folder.glob("*") if _is_executable(path)}
-
-    for prefix in prefixes:
+    for prefix in prefixes():
         path = prefix / "lib" / package / executable
         if _is_executable(path):
             return path
     if found := executables(package):
         raise AbraceError(f"package {package} has no executable {executable!r}, {expected_of(executable, found)}")
-    packages = {marker.name for prefix in prefixes for marker in (prefix / PACKAGE_MARKERS).glob("*")}
+    packages = {marker.name for prefix in prefixes() for marker in (prefix / PACKAGE_MARKERS).glob("*")}
     if package in packages:
         raise AbraceError(f"package {package} has no executables, expected {executable!r} in lib/{package}")
-    # ROS's own generators of messages are packages with executables, too
-    usual = {p for p in packages if executables(p) and not p.startswith("rosidl_")}
-    raise AbraceError(f"no package {package!r} in AMENT_PREFIX_PATH, {expected_of(package, usual)}")
+    raise AbraceError(f"no package {package!r} in AMENT_PREFIX_PATH, {expected_of(package, packages_with_nodes())}")
+
+
+def packages_with_nodes() -> set[str]:
+    """The packages that have executables, but for ROS's own generators of messages."""
+    found = {marker.name for prefix in prefixes() for marker in (prefix / PACKAGE_MARKERS).glob("*")}
+    return {package for package in found if not package.startswith("rosidl_") and executables(package)}
+
+
+def executables(package: str) -> set[str]:
+    """The executables of a `package`."""
+    folders = (prefix / "lib" / package for prefix in prefixes())
+    return {path.name for folder in folders for path in folder.glob("*") if _is_executable(path)}
+
+
+def prefixes() -> list[Path]:
+    """The folders in which packages are installed, of AMENT_PREFIX_PATH."""
+    return [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
 
 
 def _is_executable(path: Path) -> bool:

@@ -1,0 +1,42 @@
+"""What a shell completes behind `abrace`: packages, their executables, campaigns; options and files by themselves.
+
+The shell starts the command with the variable _ARGCOMPLETE to learn it (`docs/installation.md`).
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+from abrace.processes.group import executables, packages_with_nodes, prefixes
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def complete(parser: argparse.ArgumentParser) -> None:
+    """Answer a shell that asks, by the `parser`'s arguments, and end the process; nothing where none asks."""
+    if "_ARGCOMPLETE" not in os.environ:
+        return
+    import argcomplete  # imports for a tenth of a second
+
+    argcomplete.autocomplete(parser, always_complete_options=False)
+
+
+def packages(**_: Any) -> set[str]:
+    """The packages that `abrace run` knows."""
+    return packages_with_nodes()
+
+
+def nodes(parsed_args: argparse.Namespace, **_: Any) -> set[str]:
+    """The executables of the package in `parsed_args`."""
+    return executables(parsed_args.package)
+
+
+def campaigns(prefix: str, **_: Any) -> list[str]:
+    """Campaigns by name, and files and folders that begin with `prefix`."""
+    from argcomplete.completers import FilesCompleter
+
+    folders = [folder / "share/abrace/campaigns" for folder in prefixes()]
+    names = [path.stem for folder in folders for path in folder.glob("*.yaml")]
+    return [*names, *FilesCompleter(["yaml"])(prefix)]
