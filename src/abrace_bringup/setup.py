@@ -18,4 +18,10 @@ setup(
     maintainer_email="maintainers@abrace.example.org",
     description="Launch files for the rig.",
     license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "closed_loop = abrace_bringup.without_launch:closed_loop",
+            "identification = abrace_bringup.without_launch:identification",
+        ]
+    },
 )

@@ -46,6 +46,7 @@ def test_an_operator_sees_stops_clears_and_sets_without_ros2(graph):
     # a busy machine may not have heard the name of who pressed
     assert output.startswith(f"{plant}: stop pressed by ")
     graph.until_fault("plant", "protective stop: pressed by ")
+    assert any("fault: protective stop: pressed by" in line for line in graph.output_of("plant")), "on its terminal"
     code, table = status(plant)
     assert code == 1
     assert row(table, plant)[3].startswith("fault: protective stop: pressed by ")

@@ -123,6 +123,8 @@ def record(text: str) -> str:
 
 def parameter_file(text: str) -> str:
     """A ROS parameter file."""
+    if not text:
+        raise ValueError("a ROS parameter file")
     try:
         content = read_yaml(text, "ROS parameter")
     except AbraceError as error:

@@ -1,0 +1,60 @@
+"""The tests of the launch files where there is no `ros2 launch`: exit codes, what the terminal shows, whole bags."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from abrace_bags import read_run
+
+RIG = Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml"
+SLOW = (
+    "/**/plant:\n  ros__parameters: {command_timeout: 10.0, late_limit: 1000}\n"
+    "/**/ground_motion:\n  ros__parameters: {sample_rate: 100.0, band: [2.0, 5.0], rms: 0.05}\n"
+)
+
+
+@pytest.fixture
+def launch(domain, tmp_path, monkeypatch):  # noqa: ARG001
+    """Runs a test to its end with these arguments."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(test: str, **arguments: object) -> subprocess.CompletedProcess:
+        command = [
+            *f"abrace run abrace_bringup {test}".split(),
+            *(f"{name}:={value}" for name, value in arguments.items()),
+        ]
+        return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+    return run
+
+
+def test_one_command_starts_all_in_order_records_from_sample_0_and_ends_after_the_signal(launch):
+    Path("slow.yaml").write_text(SLOW)
+    Path("rig.yaml").write_text(RIG.read_text().replace("sample_rate: 500.0", "sample_rate: 100.0"))
+    given = {"free_decay": 0.5, "parameters": "slow.yaml", "bag": "bags/first"}
+    ended = launch("identification", drive="table", duration=2, rig="rig.yaml", **given)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert "[supervisor] supervisor: all nodes have found each other; plant activated\n" in ended.stdout
+    assert "[logger] logger: wrote bags/first: " in ended.stdout
+    run = read_run("bags/first")
+    assert run.sequence[0] == 0
+    assert len(run.sequence) == run.sequence[-1] + 1 >= 2.5 * 100
+
+
+def test_a_node_that_refuses_ends_the_test_and_the_terminal_says_why(launch):
+    Path("wrong.yaml").write_text("/**/logger:\n  ros__parameters: {split_size: -1}\n")
+    ended = launch("identification", drive="command", parameters="wrong.yaml", bag="bag")
+    assert ended.returncode == 1
+    assert "[logger] logger: parameter split_size: -1, expected a whole number" in ended.stdout
+    assert ended.stderr == "identification: logger has ended with exit code 2, the test is not whole\n"
+
+
+def test_wrong_arguments_are_named_and_nothing_is_started(launch):
+    ended = launch("closed_loop", controler="lqg3.yaml", duration="ten", bag="bag")
+    assert (ended.returncode, ended.stdout) == (2, "")
+    first, *lines = ended.stderr.splitlines()
+    assert first == "closed_loop: wrong launch arguments, nothing was started"
+    assert [line.partition(":")[0] for line in lines] == ["controler", "controller", "duration"]
+    ended = launch("identification", drive="table", bag="bag", robot_state_publisher="true")
+    assert ended.stderr.endswith("expected false: that node takes `ros2 launch`\n")
