@@ -13,6 +13,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.tables import data_frame
 from abrace_sysid import identification
 from abrace_sysid.figures import identification as figures
+from abrace_sysid.figures.poles import confidence
 from abrace_sysid.figures.validity import validity_figure
 from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.identification_results import write_identification
@@ -101,15 +102,15 @@ class Identified:
         floors = [name for name in found.model.outputs if name[0] == "x" and name[1:].isdigit()]
         shown = floors[-1:] + [name for name in found.model.outputs if name[0] == "a"][:1] or found.model.outputs[:1]
         pairs = {
-            "table": found.poles.table_pairs,
-            "command": found.poles.command_pairs,
-            "both": found.poles.common_pairs,
+            "table test": found.poles.table_pairs,
+            "command test": found.poles.command_pairs,
+            "both tests": found.poles.common_pairs,
         }
         drawn = {
             "transfer_functions": lambda: figures.transfer_functions(measured[0], shown, found.model),
             "commands": lambda: figures.transfer_functions(measured[1], shown, found.model),
             "residuals": lambda: figures.residuals(measured, found.model),
-            "confidence": lambda: figures.confidence(pairs),
+            "confidence": lambda: confidence(pairs),
             "validity": lambda: validity_figure(self.validity, self.judged.residuals),
             "reduction": lambda: figures.hankel_singular_values(found.hankel_singular_values, found.reduced.order),
         }
