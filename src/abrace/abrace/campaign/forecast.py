@@ -112,6 +112,16 @@ class _Designed:
     refusal: str
 
 
+class _Prepared:
+    """A rig as it is in some tests, with what each of them is predicted with."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.model = rig.discrete_model()
+        interlocks = limit_table(rig, detectors(rig).noise(sensor_noise(rig)))
+        self.limits = {kind: _limit(kind, rig, interlocks[kind]) for kind in UNITS if kind != "table"}
+
+
 class Forecaster:
     """Predicts the tests of a campaign.
 
@@ -123,6 +133,7 @@ class Forecaster:
 
     def __init__(self, checked: CheckedCampaign) -> None:
         self._checked = checked
+        self._prepared: dict[tuple[int, tuple[int, ...]], _Prepared] = {}
         self._designed = {
             name: self._design(task) for name, task in checked.campaign.tasks.items() if isinstance(task, Design)
         }
@@ -150,7 +161,8 @@ class Forecaster:
 
     def _forecast(self, test: RigTest) -> Forecast:
         laboratory = self._checked.laboratories.of(test)
-        signals, rig = self._checked.signals, laboratory.rig.disconnect(test.disconnected_braces)
+        prepared, signals = self._prepare(laboratory, test.disconnected_braces), self._checked.signals
+        rig, model = prepared.rig, prepared.model
         samples = round(test.duration * rig.sample_rate)
         ground, commands = np.zeros(samples), np.zeros((samples, rig.groups))
         if test.ground_motion is not None:
@@ -160,7 +172,7 @@ class Forecaster:
         if test.excitation is not None:
             asked = signals.excitation(test.excitation, test.duration, laboratory)[:samples]
             commands[: len(asked)] = np.clip(asked, -limits, limits)
-        model, note, law = rig.discrete_model(), "", None
+        note, law = "", None
         if isinstance(test.controller, OwnController):
             note = "with zero command: a node of your own is not simulated"
         elif test.controller is not None:
@@ -170,13 +182,19 @@ class Forecaster:
         else:
             outputs, commands = simulate_closed_loop(model, law[0], ground, limits, law[1])
         found = _table_peak(ground, rig) if test.ground_motion is not None else {}
-        found |= _response_peaks(dict(zip(model.outputs, outputs.T, strict=True)), rig)
+        found |= _response_peaks(dict(zip(model.outputs, outputs.T, strict=True)), rig.floors, prepared.limits)
         if np.any(commands):
             group = int(np.argmax(np.abs(commands).max(axis=0) / limits))
             greatest = float(np.abs(commands[:, group]).max())
             name = model.inputs[1 + group]
             found[COMMAND] = Peak(name, greatest, float(limits[group]), "N", "force limit")
         return Forecast(found, note)
+
+    def _prepare(self, laboratory: Laboratory, disconnected: tuple[int, ...]) -> _Prepared:
+        key = id(laboratory), disconnected
+        if key not in self._prepared:
+            self._prepared[key] = _Prepared(laboratory.rig.disconnect(disconnected))
+        return self._prepared[key]
 
     def _law(self, controller: str, laboratory: Laboratory) -> tuple[Law | None, str]:
         """A controller's law and correction, and what is to be said of the prediction with it."""
@@ -214,10 +232,12 @@ def _table_peak(ground: NDArray[np.float64], rig: Rig) -> dict[str, Peak]:
     return {"table": Peak(worst.name, worst.value, worst.limit, worst.unit, "table")}
 
 
-def _response_peaks(outputs: dict[str, NDArray[np.float64]], rig: Rig) -> dict[str, Peak]:
-    """The worst of each kind of response, beside the sensors' range or the interlock, whichever is less."""
+def _response_peaks(
+    outputs: dict[str, NDArray[np.float64]], count: int, limits: dict[str, tuple[float, str]]
+) -> dict[str, Peak]:
+    """The worst of each kind of response of so many floors, beside its limit."""
     greatest = {name: float(np.abs(values).max()) for name, values in outputs.items()}
-    floors = [np.zeros(1), *(outputs[f"x{i + 1}"] for i in range(rig.floors))]
+    floors = [np.zeros(1), *(outputs[f"x{i + 1}"] for i in range(count))]
     drifts = {f"of storey {i}": float(np.abs(b - a).max()) for i, (a, b) in enumerate(pairwise(floors), 1)}
     of_kind = {
         "drift": drifts,
@@ -226,12 +246,11 @@ def _response_peaks(outputs: dict[str, NDArray[np.float64]], rig: Rig) -> dict[s
         "stroke": {name: value for name, value in greatest.items() if name.startswith("xf")},
         "force": {name: value for name, value in greatest.items() if name[0] == "f"},
     }
-    interlocks = limit_table(rig, detectors(rig).noise(sensor_noise(rig)))
     found = {}
     for kind, values in of_kind.items():
         if values:
             name = max(values, key=lambda one: values[one])
-            limit, of = _limit(kind, rig, interlocks[kind])
+            limit, of = limits[kind]
             found[kind] = Peak(name, values[name], limit, UNITS[kind], of)
     return found
 
