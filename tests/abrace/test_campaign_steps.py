@@ -161,18 +161,18 @@ def test_all_mistakes_of_a_file_are_told_at_once_each_with_its_step_and_key(tmp_
         "15 mistakes, nothing was started",
         "rigg: unknown key",
         "rig.run: key is missing",
-        "lockstep: 1, expected otherwise",
+        "lockstep: 1, expected true or false",
         "step 6: more: unknown key, expected matrix and steps",
         "step 6: matrix.seed: 3, expected a list of values",
         "step 6: <sed>, expected one of <seed>, <law>",
         "step 6: matrix.seed: no step has <seed>",
         "step 6: matrix.law: no step has <law>",
         "step a: test.ground_motion.low_cat: unknown key",
-        "step a: test.duration: -1.0, expected otherwise",
+        "step a: test.duration: -1.0, expected a number greater than 0",
         "step c: 2 tasks, expected exactly one of test, identify, design, compare, validate, ambient",
-        "step d: test.controller.run: 'mine', expected otherwise: [package, executable], or a file that ends in .py",
-        "step d: test.controller.parameters: {'gain': [1, 'text']}, expected otherwise: parameter gain",
-        "step 7: 'name', expected keys and values",
+        "step d: test.controller.run: 'mine', expected [package, executable], or a file that ends in .py",
+        "step d: test.controller.parameters: {'gain': [1, 'text']}, expected",
+        "step 7: as a whole: expected keys and values",
     ]
     for line in expected:
         assert any(one.startswith(line) for one in found), f"{line} in {found}"

@@ -110,11 +110,12 @@ class Plan:
         self.forecaster.cares()
         total = sum(self.seconds(name, task) for name, task in campaign.tasks.items())
         folder = Path("results") / campaign.name
+        bags = f"bags/{campaign.name}/TIME/ with {_count(tests, 'bag')}, about {_size(self.bytes_of_bags())}"
+        replaced = " (in place of what is there)" if folder.exists() else ""
         written = [
             f"time: about {_duration(total)}",
-            f"writes: bags/{campaign.name}/TIME/ with {_count(tests, 'bag')}, about {_size(self.bytes_of_bags())}",
-            f"        {folder}/ with summary.json, report.md and a folder for each other step"
-            + (" (in place of what is there)" if folder.exists() else ""),
+            *([f"writes: {bags}"] if tests else []),
+            f"writes: {folder}/ with the report, summary.json and a folder for each other step{replaced}",
         ]
         tables = [steps.text()] + ([self._peaks().text()] if tests else [])
         return "\n\n".join([*tables, "\n".join([*written, *(f"care: {care}" for care in self.cares)])])
