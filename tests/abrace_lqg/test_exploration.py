@@ -84,6 +84,20 @@ def test_sets_lie_in_their_spans_and_the_given_one_comes_first():
     assert {(each.weights.command, each.weights.stroke, *each.measured) for each in sets} == {(1.0, 0.0, "a1")}
 
 
+def test_weights_of_drift_and_base_shear_are_varied_as_the_others():
+    of_sums = given().weights.model_copy(update={"drift": 5.0, "base_shear": 1e-9})
+    weights = Weights.model_validate(
+        given().model_dump() | {"weights": of_sums.model_dump(), "masses": [1.0, 1.0, 1.0]}
+    )
+    tried = weight_sets(weights, {"drift": (-1.0, 1.0), "base_shear": (-2.0, 0.0)}, 30, 1)
+    drift, shear = (np.array([getattr(one.weights, name) for one in tried]) for name in ("drift", "base_shear"))
+    assert 0.5 <= drift.min() < 1
+    assert 25 < drift.max() <= 50
+    assert 1e-11 <= shear.min() < 3e-11
+    assert shear.max() <= 1e-9
+    assert {one.weights.displacement for one in tried} == {weights.weights.displacement}
+
+
 def test_the_first_sets_are_the_same_however_many_there_are_and_others_with_another_seed():
     many = weight_sets(given(), SPANS, 40, 7)
     assert weight_sets(given(), SPANS, 5, 7) == many[:6]

@@ -12,10 +12,18 @@ import numpy as np
 from scipy.stats import qmc
 
 from abrace_core.errors import AbraceError
-from abrace_lqg.weights import Weights
+from abrace_lqg.weights import KindWeights, Weights
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+SPANS: dict[str, tuple[float, float]] = {
+    **{kind: (0.0, 0.0) for kind in KindWeights.model_fields if kind != "command"},
+    "displacement": (-2.0, 1.0),
+    "acceleration": (-2.0, 1.0),
+    "noise_to_excitation": (-1.0, 1.0),
+}
+"""Usual spans of all weights that can be varied."""
 
 
 def weight_sets(given: Weights, spans: Mapping[str, tuple[float, float]], count: int, seed: int) -> list[Weights]:

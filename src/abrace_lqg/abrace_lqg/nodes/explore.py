@@ -24,11 +24,10 @@ from abrace_lqg.exploration.figure import trade_off
 from abrace_lqg.exploration.files import save_exploration, write_set
 from abrace_lqg.exploration.report import report
 from abrace_lqg.exploration.study import Study
-from abrace_lqg.exploration.weight_sets import weight_sets
+from abrace_lqg.exploration.weight_sets import SPANS, weight_sets
 from abrace_lqg.scaling import scaled_weights
 from abrace_lqg.weights import load_weights
 
-SPANS = ("displacement", "stroke", "acceleration", "force", "noise_to_excitation")
 FACTORS = "lowest and highest power of ten that this weight is multiplied by"
 
 PARAMETERS = [
@@ -36,11 +35,7 @@ PARAMETERS = [
     Parameter("simulation_model", "", "model file (JSON) for simulation and margins"),
     Parameter("weights", "lqg3", "weights to vary: a name in the package's configuration or a file"),
     Parameter("measured", [], "names of the measured quantities; []: as in the weights", element=str),
-    Parameter("displacement", [-2.0, 1.0], FACTORS, minimum=-12.0, maximum=12.0),
-    Parameter("stroke", [0.0, 0.0], FACTORS, minimum=-12.0, maximum=12.0),
-    Parameter("acceleration", [-2.0, 1.0], FACTORS, minimum=-12.0, maximum=12.0),
-    Parameter("force", [0.0, 0.0], FACTORS, minimum=-12.0, maximum=12.0),
-    Parameter("noise_to_excitation", [-1.0, 1.0], FACTORS, minimum=-12.0, maximum=12.0),
+    *(Parameter(name, list(span), FACTORS, minimum=-12.0, maximum=12.0) for name, span in SPANS.items()),
     Parameter("sets", 256, "number of sets that are tried in addition to the given weights", minimum=1),
     Parameter("seed", 0, "of the quasi-random sets", minimum=0),
     Parameter("bags", [], "bags of tests whose ground motion is simulated", element=str),
