@@ -54,6 +54,7 @@ NAMES: dict[str, str] = {
     "3 ms lag": "lag",
     "mode missed": "mode missed",
     "saturated test": "saturation",
+    "spikes": "spikes",
 }
 """What validity should say of each fault."""
 
@@ -124,6 +125,7 @@ def planted(fault: str, seed: int) -> tuple[list[Run], IdentificationOptions]:
         "wrong unit": other_unit,
         "3 ms lag": late,
         "saturated test": saturated,
+        "spikes": spiked,
     }
     return (wrong[fault](tests, seed) if fault in wrong else tests), options
 
@@ -183,6 +185,19 @@ def saturated(tests: Sequence[Run], seed: int) -> list[Run]:
     return [
         changed(run, name, lambda values: np.clip(values, *(np.std(values) * np.array([-2.5, 2.5])))) for run in tests
     ]
+
+
+def spiked(tests: Sequence[Run], seed: int) -> list[Run]:
+    """A channel of which 5 to 40 readings are off by half its rms to its rms, either way."""
+    random = np.random.default_rng(seed)
+
+    def readings(values: np.ndarray) -> np.ndarray:
+        found, count = values.copy(), int(random.integers(5, 41))
+        size = np.std(values) * random.uniform(0.5, 1.0, count) * random.choice([-1.0, 1.0], count)
+        found[random.choice(len(values), count, replace=False)] += size
+        return found
+
+    return [changed(run, CHANNELS[seed % len(CHANNELS)], readings) for run in tests]
 
 
 def judged(fault: str, seed: int) -> tuple[str, int, Validity]:

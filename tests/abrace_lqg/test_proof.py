@@ -378,7 +378,7 @@ def in_modal_form(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
         pair = first + 1 < model.order and real[first, first + 1] != 0
         poles += [real[first, first], real[first + 1, first]] if pair else [real[first, first]]
         first += 2 if pair else 1
-    return found, np.abs(np.concatenate([poles, found.b.ravel(), found.c.ravel(), found.d.ravel()]))
+    return found, np.abs(np.concatenate([poles, found.b.ravel(), found.c.ravel(), found.d.ravel(), found.input_delay]))
 
 
 # several commands, and files

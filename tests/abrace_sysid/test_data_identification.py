@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,11 @@ from abrace_sysid.data_results import write_data_results
 from abrace_sysid.figures.data import figures_of_data
 from abrace_sysid.free_prediction import variance_accounted_for
 from abrace_sysid.measured_data import MeasuredData, read_data, units_of
+from abrace_sysid.models.modal import modal_model
+from abrace_sysid.validity.data_judgement import judge_data
+from abrace_sysid.validity.finding import Verdict
+from abrace_sysid.validity.sensor_findings import spiked
+from abrace_sysid.validity_results import write_validity
 
 FREQUENCY = 2 * np.pi * np.array([6.0, 11.0, 17.0, 31.0, 44.0, 58.0])
 DAMPING = np.array([0.006, 0.004, 0.008, 0.005, 0.006, 0.004])
@@ -92,6 +98,38 @@ def test_results_are_files_a_person_and_a_programme_read(found, data, tmp_path):
     assert (tmp_path / "model.mat").exists()
     drawn = figures_of_data(found)
     assert set(drawn) == {"transfer_functions_shaker_1", "transfer_functions_shaker_2", "residuals", "confidence"}
+
+
+def test_measured_data_are_judged_by_what_is_left_over_and_by_what_was_held_out(found, data, tmp_path):
+    used, rest = data.part(0, 2800), data.part(2800, 4000)
+    judged = judge_data(used, found, rest)
+    # the tail of the mode above half the sample rate is not quite that of the pairs that stand for it
+    assert [(reason.check, reason.verdict) for reason in judged.validity.reasons] in ([], [("whiteness", Verdict.CARE)])
+    checks = {finding.check for finding in judged.validity.findings}
+    assert {"channels that answer", "spikes", "residual", "whiteness", "independence", "prediction"} <= checks
+    (residual,) = judged.residuals
+    assert np.median(residual.ratio.mean(axis=0)) == pytest.approx(1.0, abs=0.2)
+    assert "held_out is 0" in judge_data(used, found, data.part(0, 0)).validity.not_checked["prediction"]
+    write_validity(judged, tmp_path)
+    assert json.loads((tmp_path / "validity.json").read_text())["causes"] == []
+    assert (tmp_path / "validity.png").stat().st_size > 10000
+
+    fourth = np.argmin(np.abs(np.abs(found.estimate.poles) - FREQUENCY[3]))
+    shapes = found.estimate.shapes * (np.arange(len(found.estimate.poles)) != fourth)
+    poor = replace(found, model=modal_model(replace(found.estimate, shapes=shapes), {}))
+    named = judge_data(used, poor, rest).validity
+    assert named.causes in (("mode missed",), ("unmodelled dynamics",))
+    assert {reason.check for reason in named.reasons} >= {"residual", "whiteness", "independence", "prediction"}
+
+
+def test_spikes_of_measured_data_are_named_where_they_stand_out_of_what_is_measured(data):
+    spoilt = data.outputs.copy()
+    spoilt[[500, 900, 1700], 2] += 60 * spoilt[:, 2].std()
+    (found,) = spiked(replace(data, outputs=spoilt), (*data.inputs, *data.names))
+    assert (found.cause, found.where) == ("spikes", "place_3, structure")
+    assert "place_3 has 3 spikes" in found.meaning
+    (clean,) = spiked(data, (*data.inputs, *data.names))
+    assert clean.verdict == Verdict.TRUST
 
 
 def test_an_output_that_does_not_answer_is_left_out_and_named(data):

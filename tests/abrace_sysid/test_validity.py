@@ -21,7 +21,7 @@ from abrace_sysid.validity.mechanics import backlashes, storey_frictions
 from abrace_sysid.validity.model_findings import disagreeing, lag, lag_of_response
 from abrace_sysid.validity.motion import Motion
 from abrace_sysid.validity.prediction import predicted
-from abrace_sysid.validity.sensor_findings import dead, saturated
+from abrace_sysid.validity.sensor_findings import dead, saturated, spiked
 from abrace_sysid.validity_results import write_validity
 
 BAND, OPTIONS = (0.3, 10.0), IdentificationOptions(servo_lag=0.0008)
@@ -87,6 +87,25 @@ def test_a_sensor_of_the_wrong_sign_is_named(table_test):
     assert changes(replace(table_test, ground_acceleration=-table_test.ground_acceleration)) == [
         ("reversed", ("w",), "")
     ]
+
+
+@pytest.mark.parametrize("name", ["x1", "a2", "f"])
+def test_spikes_are_counted_and_named_and_noise_is_none(table_test, command_test, name):
+    where, size = np.array([9000, 21000, 21500]), np.array([3.0, -2.0, 1.5])
+
+    def spoilt(values):
+        found = values.copy()
+        found[where] += size * np.std(values)
+        return found
+
+    for run in (table_test, command_test):
+        (clean,) = spiked(run, (*run.names, "w"))
+        assert clean.verdict == Verdict.TRUST
+        (found,) = spiked(changed(run, name, spoilt), run.names)
+        assert (found.cause, found.verdict, found.where) == ("spikes", Verdict.CARE, f"{name}, {run.source}")
+        assert f"{name} has 3 spikes" in found.meaning
+        many = changed(run, name, lambda values: np.where(np.arange(len(values)) % 50 == 49, 5 * values.std(), values))
+        assert spiked(many, run.names)[0].verdict == Verdict.DONT
 
 
 def test_two_faults_are_both_named(table_test):

@@ -1,8 +1,8 @@
 """Models as likely as an identified one: drawn from the joint covariance of its parameters, which its file holds.
 
 The parameters of a model in modal form (a 2 x 2 block [[re, -im], [im, re]] for each pole pair, one state for each real
-pole) are the poles' parts, state by state, and then the entries of B, C and D, row by row. Their errors are taken for
-normal.
+pole) are the poles' parts, state by state, then the entries of B, C and D, row by row, and the delay of each input.
+Their errors are taken for normal; a delay that would be drawn below zero is zero.
 """
 
 from __future__ import annotations
@@ -47,21 +47,21 @@ def draw_models(model: LinearModel, covariance: NDArray[np.float64], count: int,
         If the covariance is not that of such a model, or hardly a draw is stable.
     """
     states = model.order
-    size = states + model.b.size + model.c.size + model.d.size
+    size = states + model.b.size + model.c.size + model.d.size + len(model.inputs)
     if covariance.shape != (size, size) or not np.isfinite(covariance).all():
         raise AbraceError(f"covariance of a model: shape {covariance.shape}, expected {(size, size)}, finite")
     blocks = _blocks(model)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0))
     unit = np.where(deviation > 0, deviation, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
-    factor = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0))
+    factor = deviation[:, None] * vectors * np.sqrt(np.maximum(values, 0))
     generator = np.random.default_rng(seed)
-    ends = states + np.cumsum([model.b.size, model.c.size])
+    ends = states + np.cumsum([model.b.size, model.c.size, model.d.size])
     found: list[LinearModel] = []
     for _ in range(MOST_TRIES * count):
         if len(found) == count:
             break
-        poles, *entries = np.split(factor @ generator.standard_normal(size), [states, *ends])
+        poles, *entries, delays = np.split(factor @ generator.standard_normal(size), [states, *ends])
         a = model.a.copy()
         for first, last in blocks:
             a[first, first] += poles[first]
@@ -74,7 +74,8 @@ def draw_models(model: LinearModel, covariance: NDArray[np.float64], count: int,
                 matrix + change.reshape(matrix.shape)
                 for matrix, change in zip((model.b, model.c, model.d), entries, strict=True)
             )
-            found.append(replace(model, a=a, b=b, c=c, d=d))
+            later = tuple(np.maximum(np.add(model.input_delay, delays), 0.0).tolist())
+            found.append(replace(model, a=a, b=b, c=c, d=d, input_delay=later))
     if len(found) < count:
         raise AbraceError(
             f"covariance of a model: {len(found)} of {MOST_TRIES * count} draws are stable, expected more"

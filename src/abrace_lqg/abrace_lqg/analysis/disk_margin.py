@@ -137,11 +137,11 @@ def structured_bound(matrix: NDArray[np.complex128], descent_steps: int, enough:
     best, active = np.full(len(matrix), np.inf), pick
     for step in range(descent_steps + 1):
         scale = np.exp(logarithm[active])
-        scaled = matrix[active] * (scale[:, :, None] / scale[:, None, :])
+        rescaled = matrix[active] * (scale[:, :, None] / scale[:, None, :])
         # the greatest singular value and its vectors, of the Hermitian product: a third of the work of all
-        squares, vectors = np.linalg.eigh(scaled.conj().swapaxes(1, 2) @ scaled)
+        squares, vectors = np.linalg.eigh(rescaled.conj().swapaxes(1, 2) @ rescaled)
         sigma, v = np.sqrt(squares[:, -1]), vectors[:, :, -1]
-        u = np.einsum("nij,nj->ni", scaled, v) / sigma[:, None]
+        u = np.einsum("nij,nj->ni", rescaled, v) / sigma[:, None]
         best[active] = np.minimum(best[active], sigma)
         logarithm[active] -= (np.abs(u) ** 2 - np.abs(v) ** 2) / (1 + step) ** 0.5
         active = active[best[active] >= enough]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from abrace_core import signals
 from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, captioned, plain_ticks
-from abrace_sysid.figures.symbols import symbol
+from abrace_sysid.figures.symbols import RIG, symbol
 from abrace_sysid.validity.finding import Verdict
 
 if TYPE_CHECKING:
@@ -118,16 +118,15 @@ def _spectra(axis: Axes, residual: Residual) -> None:
     def level(power: np.ndarray) -> np.ndarray:
         return np.sqrt(np.convolve(power, np.ones(SMOOTHED) / SMOOTHED, "same"))
 
-    name = symbol(residual.outputs[worst])
     axis.semilogy(frequency, level(np.abs(residual.measured[:, worst]) ** 2), color=MEASURED, lw=1.0, label="measured")
     axis.semilogy(frequency, level(np.abs(residual.left[:, worst]) ** 2), color=SIMULATED, lw=1.0, label="left over")
     axis.semilogy(frequency, level(residual.noise[:, worst]), color=REFERENCE, lw=1.4, label="noise of the sensors")
-    axis.set_title(f"{name}, {residual.source}", fontsize="medium", loc="left")
+    axis.set_title(f"{symbol(residual.outputs[worst])}, {residual.source}", fontsize="medium", loc="left")
     axis.set_xlabel("frequency [Hz]")
-    unit = signals.unit(residual.outputs[worst])
-    if not residual.excited:
-        unit += f" / ({signals.unit(residual.inputs[0])})"
-    axis.set_ylabel(f"amplitude of a line [{unit}]")
+    name, unit = residual.outputs[worst], ""
+    if RIG.match(name):
+        unit = f" [{signals.unit(name)}" + ("]" if residual.excited else f" / ({signals.unit(residual.inputs[0])})]")
+    axis.set_ylabel(f"amplitude of a line{unit}")
     axis.set_xlim(frequency[0], frequency[-1])
     axis.grid(alpha=0.3)
     axis.legend(fontsize="small", ncols=3, loc="upper right")

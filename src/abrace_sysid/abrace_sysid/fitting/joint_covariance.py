@@ -1,4 +1,4 @@
-"""The covariance of a fit in terms of its poles, drives, shapes and direct terms, which a model is made of."""
+"""The covariance of a fit in terms of its poles, drives, shapes, direct terms and delays, which a model is made of."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def of_entries(
     places, count, first = columns_of(modes.poles), len(inputs), len(likelihood.gradient)
     states, size = places[-1].stop, (len(covariance) - first) // channels
     end = states * (1 + count)
-    entries = np.zeros((end + channels * (states + count), len(covariance)))
+    entries = np.zeros((end + channels * (states + count) + count, len(covariance)))
     entries[:states, :states] = np.eye(states)
     for mode, direction, columns in modes.parameters():
         if direction is None:
@@ -75,4 +75,6 @@ def of_entries(
         for name, place in at.items():
             j = inputs.index(name)
             entries[end + channels * states + c * count + j, own + place] = 1 / unit[j]
+    for i, column in modes.delay_columns().items():
+        entries[i - count, column] = 1
     return np.asarray(entries @ covariance @ entries.T)

@@ -77,7 +77,8 @@ class PoleEstimate:
         Variance of a pair over what it would be if channels and lines were independent, of the pair with most of it.
     joint
         Covariance of all of it together: the poles' parts as in `covariance`, then (parts, inputs) of `drive`,
-        (channels, parts) of `shapes`, real and imaginary parts beside each other, and `direct`; None: not asked for.
+        (channels, parts) of `shapes`, real and imaginary parts beside each other, `direct` and `delays` (0 of
+        those that are not sought); None: not asked for.
     """
 
     poles: NDArray[np.complex128]

@@ -134,7 +134,6 @@ def modal_covariance(estimate: PoleEstimate) -> NDArray[np.float64] | None:
     sizes, signs = np.repeat(size, states), np.ones(states.sum())
     signs[np.cumsum(states)[states == 2] - 1] = -1  # the second state of a pair is seen by minus the imaginary part
     inputs, outputs = len(estimate.inputs), len(estimate.outputs)
-    scale = np.concatenate(
-        [np.ones(len(sizes)), np.repeat(sizes, inputs), np.tile(signs / sizes, outputs), np.ones(outputs * inputs)]
-    )
+    unscaled = np.ones(outputs * inputs + inputs)  # direct terms and delays
+    scale = np.concatenate([np.ones(len(sizes)), np.repeat(sizes, inputs), np.tile(signs / sizes, outputs), unscaled])
     return np.asarray(estimate.joint * np.outer(scale, scale))

@@ -26,6 +26,7 @@ from abrace_sysid.measured_data import DataHold, read_data, units_of
 from abrace_sysid.models.reduction import errors_by_order
 from abrace_sysid.spectra.estimation import Method, TransferFunctionOptions
 from abrace_sysid.spectra.welch import Estimator
+from abrace_sysid.validity.data_judgement import judge_data
 from abrace_sysid.validity.judgement import judge, judge_failure
 from abrace_sysid.validity_results import write_validity
 
@@ -112,14 +113,18 @@ class Identify(AbraceNode):
             transfer_function=TransferFunctionOptions(**{name: getattr(given, name) for name in TRANSFER_FUNCTION}),
         )
         kept = round((1 - given.held_out) * len(data.outputs))
-        found = identify_data(data.part(0, kept), options, progress)
+        used, held_out = data.part(0, kept), data.part(kept, len(data.outputs))
+        found = identify_data(used, options, progress)
         for warning in found.warnings:
             self.get_logger().warning(warning)
-        print(write_data_results(found, data.part(kept, len(data.outputs)), Path(given.output), given.mat))
+        print(write_data_results(found, held_out, Path(given.output), given.mat))
         progress("drawing", 1.0)
         for name, figure in figures_of_data(found).items():
             save_figure(figure, Path(given.output) / f"{name}.png")
+        judged = judge_data(used, found, held_out)
+        write_validity(judged, Path(given.output))
         print(f"wrote {given.output}")
+        print(judged.validity.text())
 
     def from_bags(self, progress: Callable[[str, float], None]) -> None:
         """Read, identify, write, draw."""

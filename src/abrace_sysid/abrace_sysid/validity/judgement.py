@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 FITTING = 0.5
 """Progress of an identification from which on its tests and options have been accepted."""
 
+BLOWS = "af"
+"""First letters of channels in which the blows of loose pins look like spikes."""
+
 LEAVE_RESIDUALS = ("saturation", "friction", "backlash")
 """Faults that leave a residual which no linear model explains."""
 
@@ -139,6 +142,8 @@ def _of_tests(
         period = max((find_period(held_input(whole, name)) or 0 for name in inputs), default=0) or None
         findings += sensor_findings.dead(whole, inputs, dead)
         findings += sensor_findings.saturated(whole, inputs, tuple(dead), period)
+        answering = [name for name in (*whole.names, signals.GROUND) if name not in dead]
+        findings += sensor_findings.spiked(whole, answering)
         motion = Motion.of(whole, band[1]).without(dead)
         findings += sensor_findings.contradicting(motion, options.table_band)
         motions.append((motion, options.table_band))
@@ -150,6 +155,8 @@ def _of_tests(
         findings += found
         if not found:
             not_checked[check] = "too few sensors answer"
+    if any(one.cause == "backlash" for one in of_rig["backlash"]):
+        findings = [one for one in findings if one.cause != "spikes" or one.where[0] not in BLOWS]
     return findings
 
 

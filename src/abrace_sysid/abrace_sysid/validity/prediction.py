@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from abrace_sysid.validity.finding import Finding, judged
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from abrace_sysid.validation import Comparison
 
 MISSED = (0.03, 0.3)
@@ -22,7 +24,17 @@ def predicted(comparison: Comparison) -> Finding:
     comparison
         Measured and simulated.
     """
-    errors = {name: error for name, error in comparison.noise_free_error().items() if name[0] != "U"}
+    return prediction_finding({name: e for name, e in comparison.noise_free_error().items() if name[0] != "U"})
+
+
+def prediction_finding(errors: Mapping[str, float]) -> Finding:
+    """The finding on a test that a model has predicted.
+
+    Parameters
+    ----------
+    errors
+        By channel: rms without sensor noise, over the measured rms.
+    """
     worst = max(errors, key=lambda name: errors[name])
     error = errors[worst]
     verdict = judged(error, *MISSED)

@@ -22,13 +22,14 @@ from abrace_core.linear_model import takes_models
 from abrace_sysid.fitting.pole_basis import Sampling
 from abrace_sysid.spectra.fourier import spectra_of
 from abrace_sysid.spectra.frequency_response import sampled_response
-from abrace_sysid.validity.motion import noise_level
+from abrace_sysid.validity.motion import BANDS, noise_level
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_core.linear_model import LinearModel
     from abrace_core.run import Run
+    from abrace_sysid.measured_data import MeasuredData
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
     from abrace_sysid.spectra.holds import InputHold
 
@@ -164,6 +165,44 @@ def residual_of(run: Run, inputs: tuple[str, ...], model: LinearModel, band: tup
     measured, period, poles = spectra.outputs_spectrum, run.sample_period, _poles(model)
     lines, excitation, holds = spectra.omega, spectra.excitation, spectra.holds
     return Residual(run.source, inputs, outputs, lines, excitation, measured, left, power, period, poles, holds)
+
+
+@takes_models
+def residual_of_data(data: MeasuredData, model: LinearModel, band: tuple[float, float]) -> Residual:
+    """What `model` leaves over of measured data, which may be excited up to half the sample rate.
+
+    No part of such a record is noise alone. Its level is taken from the fifth of the band in which least is left over.
+
+    Parameters
+    ----------
+    data
+        The test.
+    model
+        Continuous, stable.
+    band
+        [Hz].
+    """
+    spectra = spectra_of(data, model.inputs, band).select(model.outputs)
+    whole = model if data.hold == "band" else discretize(model, data.sample_period)
+    modelled = np.einsum("lom,lm->lo", whole.frequency_response(spectra.omega), spectra.excitation)
+    even = np.ones(modelled.shape)
+    left = spectra.outputs_spectrum - modelled
+    left = _without_transient(left, spectra.omega, model, data.sample_period, even)
+    parts = np.array_split(np.abs(left) ** 2, BANDS)
+    noise = even * np.min([np.mean(part, axis=0) for part in parts], axis=0)
+    return Residual(
+        data.source,
+        model.inputs,
+        model.outputs,
+        spectra.omega,
+        spectra.excitation,
+        spectra.outputs_spectrum,
+        left,
+        noise,
+        data.sample_period,
+        _poles(model),
+        spectra.holds,
+    )
 
 
 @takes_models

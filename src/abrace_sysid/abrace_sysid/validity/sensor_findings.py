@@ -1,19 +1,23 @@
-"""Findings on the channels of the tests: dead, saturated, swapped, in another unit, reversed, late."""
+"""Findings on the channels of the tests: dead, saturated, with spikes, swapped, in another unit, reversed, late."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from abrace_core import signals
 from abrace_sysid.recordings import at_extremes
 from abrace_sysid.spectra.fourier import held_input
 from abrace_sysid.validity.finding import Finding, Verdict, judged
 from abrace_sysid.validity.kinematics import CONTRADICTION, Change, kinematics
+from abrace_sysid.validity.spikes import spikes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from abrace_core.run import Run
+    from abrace_sysid.measured_data import MeasuredData
     from abrace_sysid.validity.kinematics import Kinematics
     from abrace_sysid.validity.motion import Motion
 
@@ -24,11 +28,14 @@ SATURATED = (0.0, 0.02)
 """Share of a channel's samples at the end of its range: from more than the first on care is needed, from the second on
 nothing can be trusted."""
 
+SPIKED = (0.0, 0.02)
+"""Likewise power of single readings that are far from their neighbours, over that of the channel."""
+
 LATE = (0.0015, 0.01)
 """Likewise seconds between two sensors of a floor. Filters and transducers of a rig as it is differ by 0.0007 s."""
 
 
-def dead(run: Run, inputs: Sequence[str], reasons: Mapping[str, str]) -> list[Finding]:
+def dead(run: Run | MeasuredData, inputs: Sequence[str], reasons: Mapping[str, str]) -> list[Finding]:
     """A finding for each channel of a test that is no response.
 
     Parameters
@@ -76,31 +83,80 @@ def saturated(run: Run, inputs: Sequence[str], without: Sequence[str], period: i
         Samples of a period of a multisine.
     """
     flags = run.clipped_samples or {}
-    found = []
+    counts = {}
     for name in (*run.names, signals.GROUND, *run.command_names):
         values = held_input(run, name)
         middle = len(values) // 2
         # each period of a multisine reaches its peak once
-        kept = values if period is None else values[middle : middle + period]
-        count = 0 if name in without else at_extremes(kept)
+        count = 0 if name in without else at_extremes(values if period is None else values[middle : middle + period])
         # a group's force is the mean of its load cells, fa, fb, ...
-        count = count or sum(number for flag, number in flags.items() if flag in (name, name + flag[-1]))
-        if count:
-            found.append((count / len(kept), name, count))
+        counts[name] = count or sum(number for flag, number in flags.items() if flag in (name, name + flag[-1]))
+    return at_ends(run.source, counts, len(run.outputs) if period is None else period, inputs)
+
+
+def at_ends(source: str, counts: Mapping[str, int], samples: int, inputs: Sequence[str]) -> list[Finding]:
+    """A finding for each channel at the end of its range, or one that none is.
+
+    Parameters
+    ----------
+    source
+        The test.
+    counts
+        By channel, how many samples are at its extremes.
+    samples
+        Out of how many.
+    inputs
+        What was excited.
+    """
     check = "within the range"
+    found = [(count / samples, name, count) for name, count in counts.items() if count]
     if not found:
-        return [Finding(check, run.source, 0.0, SATURATED[0], "", Verdict.TRUST, "", "no channel is saturated", "")]
+        return [Finding(check, source, 0.0, SATURATED[0], "", Verdict.TRUST, "", "no channel is saturated", "")]
     return [
         Finding(
             check,
-            f"{name}, {run.source}",
+            f"{name}, {source}",
             share,
             SATURATED[0],
             "",
             judged(share, *SATURATED),
             "saturation",
-            f"{name} is saturated in {run.source}: {count} samples ({share:.2g} of them) are at its extremes",
+            f"{name} is saturated in {source}: {count} samples ({share:.2g} of them) are at its extremes",
             "Repeat the test with less excitation" if name not in inputs else "Ask for less than the input can give",
+        )
+        for share, name, count in sorted(found, reverse=True)
+    ]
+
+
+def spiked(run: Run | MeasuredData, names: Sequence[str]) -> list[Finding]:
+    """A finding for each channel of a test that has spikes, or one that none has.
+
+    Parameters
+    ----------
+    run
+        The test.
+    names
+        Channels that are looked at.
+    """
+    check, found = "spikes", []
+    for name in names:
+        values = run.channels([name])[:, 0]
+        where, size = spikes(values)
+        if len(where):
+            found.append((float(np.sum(size**2) / np.sum((values - values.mean()) ** 2)), name, len(where)))
+    if not found:
+        return [Finding(check, run.source, 0.0, SPIKED[0], "", Verdict.TRUST, "", "no channel has spikes", "")]
+    return [
+        Finding(
+            check,
+            f"{name}, {run.source}",
+            share,
+            SPIKED[0],
+            "",
+            judged(share, *SPIKED),
+            "spikes",
+            f"{name} has {count} spikes in {run.source}, {share:.2g} of its power: readings far from their neighbours",
+            "Look at plug, cable and screen of the sensor, and repeat the test",
         )
         for share, name, count in sorted(found, reverse=True)
     ]
