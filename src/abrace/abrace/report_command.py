@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import argparse
+
+    from abrace_core.command_line import OneLineParser
 
 EXAMPLES = """examples:
   abrace report results/demo                              report.html, report.md, summary.json and figures, made anew
@@ -11,13 +16,12 @@ EXAMPLES = """examples:
   abrace report results/tuesday --against results/monday  two campaigns side by side: against_monday.html"""
 
 
-def add_report_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_report_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
     """Add `report` to the command's `commands`."""
     report = commands.add_parser(
         "report",
         help="a campaign's report.html, report.md, figures and summary.json, from its results and bags",
         epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     report.add_argument("directory", type=Path, help="such as results/demo")
     report.add_argument(

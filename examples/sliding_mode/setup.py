@@ -1,0 +1,14 @@
+from setuptools import setup
+
+setup(
+    name="sliding_mode",
+    version="0.1.0",
+    packages=["sliding_mode"],
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/sliding_mode"]),
+        ("share/sliding_mode", ["package.xml"]),
+        ("share/sliding_mode/launch", ["launch/el_centro.launch.py"]),
+        ("share/sliding_mode/campaigns", ["campaigns/el_centro.yaml"]),
+    ],
+    entry_points={"console_scripts": ["sliding_mode = sliding_mode.sliding_mode:main"]},
+)

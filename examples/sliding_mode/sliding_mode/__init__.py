@@ -1,0 +1,1 @@
+"""Sliding-mode control as a control law of one's own."""
