@@ -38,10 +38,12 @@ def test_help_says_what_a_node_is_and_every_parameter_with_its_default(package, 
 def test_every_command_has_an_example_that_its_parser_takes(words, capsys):
     with pytest.raises(SystemExit):
         parser().parse_args([*words, "--help"])
-    (example,) = re.findall(r"^example: (.*)$", capsys.readouterr().out, re.MULTILINE)
-    given = shlex.split(example.partition(",")[0])
-    assert given[given.index("abrace") + 1 :][: len(words)] == list(words)
-    parser().parse_args(given[given.index("abrace") + 1 :])
+    text = capsys.readouterr().out.partition("\nexample")[2]
+    examples = re.findall(r"(?:: .*?|  )\babrace (.*?)(?:,.*|  .*)?$", text, re.MULTILINE)
+    assert examples
+    for given in map(shlex.split, examples):
+        assert given[: len(words)] == list(words)
+        parser().parse_args(given)
 
 
 def test_version_is_abraces(monkeypatch, capsys):
