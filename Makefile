@@ -51,7 +51,7 @@ lint: tools  ## ruff and mypy (its types are those of NumPy 2: not where ROS 2 i
 	@$(ENVIRONMENT)
 	ruff check .
 	ruff format --check .
-	[ -n "$(ROS_DISTRO)" ] || mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) $(wildcard src/*/scripts/*.py) $(wildcard docs/*.py) $(filter-out %/test/%,$(wildcard examples/*/*/*.py)) benchmarks tests/support
+	[ -n "$(ROS_DISTRO)" ] || mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) $(wildcard src/*/scripts/*.py) $(wildcard docs/*.py) $(filter-out %.launch.py,$(filter-out %/test/%,$(wildcard examples/*/*/*.py))) benchmarks tests/support
 
 test: lint  ## lint and all tests: those of the libraries on all cores, then those of the graph, two files at a time
 	@$(ENVIRONMENT)

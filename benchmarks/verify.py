@@ -23,6 +23,7 @@ from bag_accuracy import verify_bags
 from bridge_claims import verify_bridge
 from buildings import verify_buildings
 from claims import Claim, claim_table
+from docs_alone import verify_docs
 from identification_claims import verify_identification
 from interlock_margins import verify_interlocks
 from interval_coverage import verify_coverage
@@ -70,6 +71,7 @@ def parts(record: Path | None, measured: Path | None) -> dict[str, Part]:
         "validity": Part((buildings, "validity"), "planted faults named, false alarms", verify_validity),
         "coverage": Part((buildings, "coverage"), "true values within intervals, also with friction", verify_coverage),
         "interlocks": Part(("interlocks",), "margins in the paper's tests, and what trips them", verify_interlocks),
+        "docs": Part(("docs",), "a building, a record and a law from the docs alone, to a report", verify_docs),
         "bags": Part(("bags",), "killed loggers, power losses, damaged files", verify_bags),
         "bridge": Part(("bridge",), "malformed packets; the demo through emulator and bridge", verify_bridge),
         "safety": Part(("safety",), "every state with every event; what may go wrong, on running nodes", verify_safety),

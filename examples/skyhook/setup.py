@@ -7,6 +7,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/skyhook"]),
         ("share/skyhook", ["package.xml"]),
+        ("share/skyhook/launch", ["launch/el_centro.launch.py"]),
     ],
     entry_points={"console_scripts": ["skyhook = skyhook.skyhook:main"]},
 )

@@ -8,7 +8,6 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/sliding_mode"]),
         ("share/sliding_mode", ["package.xml"]),
         ("share/sliding_mode/launch", ["launch/el_centro.launch.py"]),
-        ("share/sliding_mode/campaigns", ["campaigns/el_centro.yaml"]),
     ],
     entry_points={"console_scripts": ["sliding_mode = sliding_mode.sliding_mode:main"]},
 )

@@ -51,5 +51,5 @@ def test_what_does_not_fit_the_rig_is_said() -> None:
 
 
 def test_the_campaign_runs_it_beside_the_skyhook() -> None:
-    campaign = load_campaign(Path(__file__).parents[1] / "campaigns/el_centro.yaml")
+    campaign = load_campaign(Path(__file__).parents[1] / "campaign.yaml")
     assert [step.name for step in campaign.steps][1::2] == ["with_sliding_mode", "with_skyhook"]
