@@ -55,7 +55,7 @@ def mistakes(
     tagged
         Keys of which there are several kinds; the name of the kind, which follows in pydantic's place, is left out.
     """
-    found = [{**each, "loc": _untagged(each["loc"], tagged)} for each in error.errors()]
+    found: list[dict[str, Any]] = [{**each, "loc": _untagged(each["loc"], tagged)} for each in error.errors()]
     missing = {_place(each): str(each["loc"][-1]) for each in found if each["type"] == "missing"}
     unknown = []
     for each in found:
