@@ -89,8 +89,8 @@ def test_a_law_that_breaks_is_a_latched_fault_that_says_where(graph, start_law, 
 
 
 def test_a_wrong_parameter_of_a_law_is_refused_as_everywhere(graph, start_law):
-    start_law("skyhook", EXAMPLES / "skyhook/skyhook/skyhook.py", damp=1.0)
-    assert graph.ended("skyhook") == 2
-    (line,) = graph.output_of("skyhook")
-    assert "parameter damp: unknown, skyhook has" in line
-    assert " damping, floors, force_limit," in line
+    start_law("sliding_mode", EXAMPLES / "sliding_mode/sliding_mode/sliding_mode.py", boundry=1.0)
+    assert graph.ended("sliding_mode") == 2
+    (line,) = graph.output_of("sliding_mode")
+    assert "parameter boundry: unknown, sliding_mode has" in line
+    assert ", weights, did you mean boundary?" in line
