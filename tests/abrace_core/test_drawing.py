@@ -10,7 +10,8 @@ def test_saved_figures_are_whole_png_files_or_none(tmp_path):
     figure.subplots().plot([1, 2, 3])
     save_figure(figure, tmp_path / "new" / "fig6.png")
     assert (tmp_path / "new" / "fig6.png").read_bytes().startswith(b"\x89PNG")
-    assert [path.name for path in (tmp_path / "new").iterdir()] == ["fig6.png"]
+    names = ["fig6.plotly.json", "fig6.png", "fig6.svg"]
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == names
     (tmp_path / "folder.png").mkdir()
     with pytest.raises(AbraceError, match="cannot write"):
         save_figure(figure, tmp_path / "folder.png")

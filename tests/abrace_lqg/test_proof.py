@@ -424,7 +424,9 @@ def test_the_proof_is_written_into_the_controller_file_and_its_folder(
     save_controller(controller_of(designed), file, table_lines(found))
     assert [path.name for path in written] == ["one_proof.json", "one_loop.png", "one_poles.png", "one_prediction.png"]
     assert all(path.read_bytes()[:4] == b"\x89PNG" for path in written[1:])
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["one.yaml", *(path.name for path in written)])
+    beside = [path.with_suffix(suffix).name for path in written[1:] for suffix in (".svg", ".plotly.json")]
+    expected = sorted(["one.yaml", *(path.name for path in written), *beside])
+    assert sorted(path.name for path in tmp_path.iterdir()) == expected
     np.testing.assert_array_equal(load_controller(file).law.a, designed.controller.a)
     text = file.read_text()
     assert all(f"# {line}\n" in text for line in table_lines(found))
