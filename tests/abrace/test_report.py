@@ -255,8 +255,8 @@ def test_a_rig_whose_own_poles_nobody_knows_and_of_another_size_is_reported(tmp_
 
 
 def test_markdown_holds_the_tables_and_links_the_figures(tmp_path):
-    (tmp_path / "figures").mkdir()
-    for name in ("figures/fig6 x3.svg", "fig_3.png", "table_noise.mcap"):
+    (tmp_path / "plots").mkdir()
+    for name in ("plots/fig6 x3.svg", "fig_3.png", "table_noise.mcap"):
         (tmp_path / name).touch()
     reported(tmp_path, example())
     lines = (tmp_path / "report.md").read_text().splitlines()
@@ -264,7 +264,7 @@ def test_markdown_holds_the_tables_and_links_the_figures(tmp_path):
     assert "| x1 [cm] | 1.104 | 1.339 | 1.214 | 1.339 | 0.159 | 0.166 | 0.175 | 0.166 |" in lines
     assert {line for line in lines if line.startswith("!")} == {
         "![fig 3](fig_3.png)",
-        "![fig6 x3](figures/fig6%20x3.svg)",
+        "![fig6 x3](plots/fig6%20x3.svg)",
     }
 
 

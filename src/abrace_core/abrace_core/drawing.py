@@ -80,7 +80,7 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     """Write a `figure` to a PNG file, and beside it as SVG and as the report zooms it, with its caption."""
     path = Path(path)
     figure.draw_without_rendering()
-    figure.set_layout_engine("none")
+    figure.set_layout_engine(None)
     content = {"caption": str(figure.get_label()), "plotly": plotly_figure(figure)}
     for suffix in (".png", ".svg"):
         save_image(figure, path.with_suffix(suffix))

@@ -30,6 +30,8 @@ FRAME = {
     "ticks": "outside",
     "zeroline": False,
 }
+PIXELS_OF_A_TICK = 28.0
+"""Least distance of the numbers at an axis."""
 BUTTONS = 36.0
 """Width of the buttons beside a figure [pixels]."""
 SCALES = {"linear": "linear", "log": "log"}
@@ -70,7 +72,7 @@ def plotly_figure(figure: Figure) -> dict[str, Any] | None:
             found.append({**trace, **shown, "xaxis": x, "yaxis": y})
         _add_texts(layout, axis.texts, figure, (x, y), axis)
         titles = [one for one in axis.get_children() if isinstance(one, Text) and one not in axis.texts]
-        _add_texts(layout, titles, figure)
+        _add_texts(layout, [*titles, axis.xaxis.label, axis.yaxis.label], figure)
     for part in _parts(figure):
         _add_texts(layout, [*part.texts, *filter(None, [getattr(part, "_suptitle", None)])], figure)
         if part is not figure and to_rgba(part.patch.get_facecolor())[3]:
@@ -130,14 +132,14 @@ def _add_axes(
     x_key, y_key = (f"{name[0]}axis{name[1:]}" for name in (x, y))
     if x_key not in layout:
         layout[x_key] = {
-            **drawn, **_axis(axis.xaxis, axis.get_xlim(), axis.get_xscale()),
+            **drawn, **_axis(axis.xaxis, axis.get_xlim(), axis.get_xscale(), axis.bbox.width),
             "domain": _domain(place["x0"], place["x1"]), "anchor": y,
         }  # fmt: skip
         first = next(one for one in axes if one is axis or one.get_shared_x_axes().joined(one, axis))
         if names[first][0] != x:
             layout[x_key]["matches"] = names[first][0]
     layout[y_key] = {
-        **drawn, **_axis(axis.yaxis, axis.get_ylim(), axis.get_yscale()),
+        **drawn, **_axis(axis.yaxis, axis.get_ylim(), axis.get_yscale(), axis.bbox.height),
         "domain": _domain(place["y0"], place["y1"]), "anchor": x,
     }  # fmt: skip
     if axis.yaxis.get_ticks_position() == "right":
@@ -155,7 +157,7 @@ def _domain(low: float, high: float) -> list[float]:
     return [min(max(low, 0.0), 1.0), min(max(high, 0.0), 1.0)]
 
 
-def _axis(axis: Axis, limits: tuple[float, float], scale: str) -> dict[str, Any]:
+def _axis(axis: Axis, limits: tuple[float, float], scale: str, length: float) -> dict[str, Any]:
     low, high = (float(limit) for limit in limits)
     found: dict[str, Any] = {
         "type": SCALES[scale],
@@ -163,19 +165,17 @@ def _axis(axis: Axis, limits: tuple[float, float], scale: str) -> dict[str, Any]
         "showgrid": any(line.get_visible() for line in axis.get_gridlines()),
         "gridcolor": "#e3e3e3",
         "showticklabels": any(label.get_visible() and label.get_text() for label in axis.get_ticklabels()),
-        "title": {"text": html_text(axis.label.get_text()) if axis.label.get_visible() else "", "standoff": 6},
     }
     sizes = [label.get_fontsize() for label in axis.get_ticklabels()[:1]]
     found["tickfont"] = {"size": pixels(sizes[0] if sizes else 10.0)}
-    found["title"]["font"] = {"size": pixels(axis.label.get_fontsize())}
     if isinstance(axis.get_major_locator(), FixedLocator):
         ticks = axis.get_majorticklocs()
         words = axis.get_major_formatter().format_ticks(list(ticks))
         found |= {"tickvals": list(map(float, ticks)), "ticktext": list(map(html_text, words))}
     elif scale == "log":
-        found |= {"dtick": 1 if abs(np.log10(high / low)) > 1.3 else "D1", "exponentformat": "power"}
+        found |= {"dtick": 1 if abs(np.log10(high / low)) > 1.3 else "D2", "exponentformat": "power"}
     else:
-        found["nticks"] = 7
+        found["nticks"] = max(3, min(8, int(length / PIXELS_OF_A_TICK)))
     return found
 
 
@@ -223,7 +223,7 @@ def _add_texts(
         if not text.get_text().strip():
             continue
         x0, y0, x1, y1 = _corners(text, figure)
-        side = text.get_horizontalalignment()
+        side = "center" if text.get_rotation() else text.get_horizontalalignment()
         words = html_text(text.get_text())
         layout["annotations"].append({
             "x": {"left": x0, "center": (x0 + x1) / 2, "right": x1}[side], "y": (y0 + y1) / 2,

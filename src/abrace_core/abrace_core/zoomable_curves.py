@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PIXELS = 96.0
 """A browser's, in an inch."""
-BINS = 1000
+BINS = 700
 """Of a long curve."""
 DASHES = {"--": "dash", ":": "dot", "-.": "dashdot"}
 MARKERS = {

@@ -176,7 +176,7 @@ def _span(
     last = max(float(run.time[-1]) for run in runs)
     if not start and not duration:
         peaks = [float(run.time[np.argmax(np.abs(x[:, -1]))]) for run, x in zip(runs, floors, strict=True)]
-        begin = min(max(0.0, min(peaks) - BEFORE), max(0.0, last - SHOWN))
+        begin = min(max(float(runs[0].time[0]), min(peaks) - BEFORE), max(0.0, last - SHOWN))
         return begin, min(last, begin + SHOWN)
     end = min(last, start + duration if duration else last)
     if not start < end:

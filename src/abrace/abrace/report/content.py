@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace.report.recorded import RecordedTest, checksum, rig_of
+from abrace.report.recorded import RecordedTest, checksum, rigs_of
 from abrace.report.recorded_figures import motion_figure, response_figure
 from abrace.report.sections import Listing, Part, Picture, Section, pictures
 from abrace.report.table import Table
@@ -63,15 +62,10 @@ class Report:
     tests: list[RecordedTest]
     units: Units
 
-    @cached_property
-    def rig(self) -> Rig | None:
-        """The rig of the tests, as its file in their bags has it."""
-        return rig_of(self.tests)
-
     def sections(self) -> list[Section]:
         """All that the report says; figures of rig and tests are drawn and saved."""
         found = [
-            Section("The rig", tuple(self._rig())),
+            Section("The rig", tuple(part for rig in rigs_of(self.tests) for part in self._rig(rig))),
             Section("Tests", tuple(self._tests())),
             Section("Records and spectra", tuple(self._motions())),
             Section("What was recorded", tuple(self._responses())),
@@ -84,14 +78,12 @@ class Report:
             Section("How to make it again", tuple(self._again())),
         ]
         shown = {part.path for section in found for part in section.parts if isinstance(part, Picture)}
-        rest = [one for one in pictures(self.directory) if one.path not in shown]
+        own = self.directory / FIGURES
+        rest = [one for one in pictures(self.directory) if one.path not in shown and own not in one.path.parents]
         found = [Section(one.title, tuple(rest)) if one.title == "More figures" else one for one in found]
         return [section for section in found if section.parts]
 
-    def _rig(self) -> Iterator[Part]:
-        rig = self.rig
-        if rig is None:
-            return
+    def _rig(self, rig: Rig) -> Iterator[Part]:
         characteristics = characterize(rig)
         yield Table("", ("", "value"), tuple(_rig_rows(rig)))
         pairs = [("bare frame", characteristics.bare), ("zero command", characteristics.zero_command)]
@@ -107,7 +99,7 @@ class Report:
             f"Rig {rig.name}, computed from its file: an actuator on the bench and in the building, "
             f"poles, and the first mode.{papers}"
         )
-        yield self._saved("rig", captioned(characteristics_figure(rig, characteristics), caption))
+        yield self._saved(f"rig_{rig.name}", captioned(characteristics_figure(rig, characteristics), caption))
 
     def _tests(self) -> Iterator[Part]:
         readable = [(test, test.run) for test in self.tests if test.run is not None]

@@ -116,15 +116,12 @@ def _test(directory: Path, step: str, parameters: Path) -> RecordedTest:
         return RecordedTest(step, bag, None, str(error))
 
 
-def rig_of(tests: list[RecordedTest]) -> Rig | None:
-    """The rig of the first of the `tests` whose bag has its rig file; None: no bag has one."""
-    text = next((test.facts["rig_file"] for test in tests if "rig_file" in test.facts), None)
-    if text is None:
-        return None
+def rigs_of(tests: list[RecordedTest]) -> list[Rig]:
+    """The rigs of the `tests`, each once, as their files in the bags have them."""
+    texts = dict.fromkeys(str(test.facts["rig_file"]) for test in tests if "rig_file" in test.facts)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.yaml"
-        path.write_text(text, encoding="utf-8")
-        return load_rig(path)
+        return [load_rig(path) for text in texts if path.write_text(text, encoding="utf-8")]
 
 
 def checksum(path: Path) -> str:

@@ -30,6 +30,9 @@ LOWEST_SHOWN = 0.1
 KINDS = (("x", "displacement, stroke"), ("a", "acceleration"), ("fU", "force, command"))
 """First letters of the quantities that share a unit, and the names of these quantities."""
 
+EVERY = 4
+"""Of the frequencies, at which the models drawn about others are shown."""
+
 LEAST_SHOWN = 0.1
 """Damping ratio [%] at which what has less is drawn."""
 
@@ -64,6 +67,7 @@ def loop_figure(
         loop = Loop(model, controller)
         omega = loop.frequencies()
         omega = omega[omega >= 2 * np.pi * LOWEST_SHOWN]
+        coarse = omega[::EVERY]
         for command in proof.commands:
             response = loop.transfer_function(command, omega)
             label = f"{command}, {name}" if len(proof.commands) > 1 else name
@@ -71,10 +75,10 @@ def loop_figure(
             if number:
                 style = {"color": REFERENCE, "lw": 1.0, "ls": LINE_STYLES[number % len(LINE_STYLES)]}
             for drawn in (ensembles or {}).get(name, ()):
-                other = Loop(drawn, controller).transfer_function(command, omega)
+                other = Loop(drawn, controller).transfer_function(command, coarse)
                 thin = {"color": style["color"], "lw": 0.3, "alpha": 0.4}
                 nichols.plot(_with_gaps(np.degrees(np.angle(-other)) - 180), _decibels(other), **thin)
-                gain.semilogx(omega / (2 * np.pi), _decibels(other), **thin)
+                gain.semilogx(coarse / (2 * np.pi), _decibels(other), **thin)
             # the critical point, -180 degrees, in the middle
             nichols.plot(_with_gaps(np.degrees(np.angle(-response)) - 180), _decibels(response), label=label, **style)
             gain.semilogx(omega / (2 * np.pi), _decibels(response), **style)

@@ -87,8 +87,8 @@ def transfer_functions(
     legend_above(figure, longest, 3 if len(channels) == 1 else 5)
     for axis in axes.flat:
         axis.grid(alpha=0.3)
-    named = ", ".join(symbol(name) for name in channels)
-    caption = f"Transfer functions from {symbol(measured.input)} to {named}: measured ({measured.method}) and fitted."
+    named = ", ".join(channels)
+    caption = f"Transfer functions from {measured.input} to {named}: measured ({measured.method}) and fitted."
     return captioned(figure, caption + " Lines within twice their standard deviation are faint and without phase.")
 
 
@@ -266,7 +266,7 @@ def stabilization_diagram(found: Stabilization, reference: list[float] | None = 
     axis.set_yticks([poles.order for poles in found.orders][:: max(1, len(found.orders) // 10)])
     legend_above(figure, axis, len(kinds))
     told = "Poles of rising order and what they share with those of the order before; grey: mean amplitude"
-    return captioned(figure, f"{told} from {symbol(found.measured.input)}; dotted: the modes that were found.")
+    return captioned(figure, f"{told} from {found.measured.input}; dotted: the modes that were found.")
 
 
 def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:

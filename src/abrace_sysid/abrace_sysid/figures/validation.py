@@ -67,7 +67,7 @@ def time_histories(
         axes[0, 1].set_title(f"{zoom[0]:g} to {zoom[1]:g} s", fontsize="medium")
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
-    named = " and ".join(symbol(name) for name in channels)
+    named = " and ".join(channels)
     under = f" under {tested}" if tested else ""
     caption = f"{named}{under}: measured, simulated by the identified model, and simulated less measured."
     return captioned(figure, caption)
@@ -101,7 +101,7 @@ def control_effect(
     ends = [last_motion(run.time, *run.channels(channels).T) for run in (uncontrolled, controlled)]
     axes[-1].set_xlim(controlled.time[0], max(ends))
     axes[-1].set_xlabel("time [s]")
-    named = " and ".join(symbol(name) for name in channels)
+    named = " and ".join(channels)
     return captioned(figure, f"{named}{f' under {tested}' if tested else ''}, measured without and with control.")
 
 
