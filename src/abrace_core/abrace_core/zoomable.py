@@ -188,14 +188,15 @@ def _legends(figure: Figure, axes: Sequence[Axes], layout: dict[str, Any]) -> di
         name = "legend" if number == 1 else f"legend{number}"
         left, _, right, top = _corners(legend, figure)
         words = legend.get_texts()
-        lines = {round(word.get_window_extent().y0) for word in words}
+        # one of axes in several columns is set below each other: there is no room beside
+        in_rows = owner is None or len({round(word.get_window_extent().y0) for word in words}) == 1
         middle = 0.5 if owner is None else float((owner.bbox.x0 + owner.bbox.x1) / 2 / figure.bbox.x1)
         # held at the side that is nearer to its axes' edge, as letters are not as wide here
         side = "left" if (left + right) / 2 <= middle else "right"
         layout[name] = {
             "x": left if side == "left" else right, "y": top, "xanchor": side, "yanchor": "top",
             "bgcolor": "rgba(255,255,255,0.8)", "font": {"size": pixels(words[0].get_fontsize())},
-            "tracegroupgap": 0, "orientation": "h" if len(lines) < len(words) else "v", "itemwidth": 30,
+            "tracegroupgap": 0, "orientation": "h" if in_rows else "v", "itemwidth": 30,
         }  # fmt: skip
         for text in words:
             found.setdefault(html_text(text.get_text()), {})[owner] = name

@@ -3,7 +3,7 @@
 STYLE = """
 :root { --blue: #1b3a6b; --rule: #d5d9e0; }
 body { font: 15px/1.5 system-ui, "DejaVu Sans", Verdana, sans-serif; color: #1c1c1c; }
-body { margin: 0 auto; max-width: 1100px; padding: 0 20px 60px; }
+body { margin: 0 auto; max-width: 1300px; padding: 0 20px 60px; }
 header { border-bottom: 3px solid var(--blue); margin: 24px 0 8px; }
 h1 { margin: 0; color: var(--blue); }
 header p { margin: 2px 0 10px; color: #555; }
