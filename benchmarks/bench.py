@@ -12,6 +12,7 @@ reading        the responses of that run's bag to arrays, against `rosbags`
 bags           1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`
 report         report.html of the demo: `abrace report` as a process of its own, its size, and a headless Chromium
                from its start to its end with all figures drawn
+campaign       what a test costs beside its samples, against bare starts of as many nodes
 identification from bags of 600 s to the model, against `rosbags`, `mcap-ros2-support` and scikit-rf's VectorFitting
 """
 
@@ -29,6 +30,7 @@ from typing import Any
 
 import numpy as np
 from bag_reading import bag_reading
+from campaign_overhead import campaign_overhead
 from controller_speed import controller_speed, lqg3
 from exploration_speed import exploration_speed
 from identification_speed import cost_table, identification_speed
@@ -37,7 +39,7 @@ from report_speed import report_rows, report_speed
 from rosbags.highlevel import AnyReader
 from simulation import simulation_speed
 
-from abrace.campaign.runner import run_campaign
+from abrace.campaign.course import run_campaign
 from abrace.report.table import Table
 from abrace_bags import read_run
 from abrace_core.controller_file import save_controller
@@ -77,7 +79,7 @@ def lockstep() -> dict[str, Any]:
     """Samples a second of the lockstep graph; and round trips of an echo, and of a bare graph, before and after it."""
     save_controller(lqg3(), "lqg3.yaml")
     before = bare_rates()
-    results = run_campaign(HERE / "lockstep.yaml")
+    results = run_campaign(HERE / "lockstep.yaml").results
     after = bare_rates()
     (step,) = json.loads((results / "timing.json").read_text(encoding="utf-8"))["steps"]
     rate = step["samples"] / step["run_seconds"]
@@ -192,6 +194,17 @@ def controller_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     ]
 
 
+def campaign_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the table: what a test of a campaign costs beside its samples."""
+    bare, cpu = f"3 bare nodes {found['bare_seconds']:.2f}", f"3 bare nodes {found['bare_cpu_seconds']:.2f}"
+    ratio, cpu_ratio = f"{found['ratio_to_bare']:.1f}", f"{found['cpu_ratio_to_bare']:.1f}"
+    return [
+        ("between two tests of a campaign, s", f"{found['overhead_seconds']:.2f}", "1.5", bare, ratio),
+        ("processors for a test, s", f"{found['cpu_seconds']:.2f}", "-", cpu, cpu_ratio),
+        (f"tests lost of {found['tests']}", f"{found['lost_tests']}", "0", "-", "-"),
+    ]
+
+
 def main() -> None:
     """Measure, write, print."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -205,6 +218,7 @@ def main() -> None:
         found["reading"] = reading(bag)
         found |= controller_speed()
         found["report"] = report_speed()
+        found["campaign"] = campaign_overhead()
     write_text("results/bench.json", json.dumps(found, indent=1) + "\n")
     loop, bags, step = found["lockstep"], found["reading"], found["plant_step_us"]
     trip = 1e6 / loop["echo_per_second"]
@@ -231,6 +245,7 @@ def main() -> None:
         *identification_rows(found["identification"]),
         *controller_rows(found),
         *report_rows(found["report"]),
+        *campaign_rows(found["campaign"]),
     )
     print(Table("Speed", ("claim", "reached", "asked", "peer", "ratio"), rows).text())
     print("\n" + cost_table(found["identification"]).text())

@@ -18,7 +18,7 @@ from fitted_weights import fit_table, other_rigs
 from isolation import isolated
 from papers_simulation import papers_simulation
 
-from abrace.campaign.runner import run_campaign
+from abrace.campaign.course import run_campaign
 from abrace.report.results import read_results
 from abrace.report.summary import worst_peak_rms_error
 from abrace.report.table import Table
@@ -116,7 +116,7 @@ def run(record: Path | None) -> Results:
     with isolated() as here:
         campaign = Path("five_controllers.yaml")
         campaign.write_text(campaign_text(record), encoding="utf-8")
-        results = run_campaign(campaign)
+        results = run_campaign(campaign).results
         make_report(results)
         found = read_results(results)
         shutil.rmtree(here / KEPT, ignore_errors=True)

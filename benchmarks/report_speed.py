@@ -9,7 +9,7 @@ from typing import Any
 
 from browser import CHROMIUM, open_page
 
-from abrace.campaign.runner import run_campaign
+from abrace.campaign.course import run_campaign
 from abrace_core.node import find_file
 
 DEMO = Path("results/demo")

@@ -17,7 +17,7 @@ import numpy as np
 from claims import Claim
 from isolation import isolated
 
-from abrace.campaign.runner import run_campaign
+from abrace.campaign.course import run_campaign
 from abrace.report.results import read_results
 from abrace.report.table import Table
 from abrace.report.writer import make_report
@@ -75,7 +75,7 @@ def run(rig: Rig) -> tuple[Comparison, dict[str, float], ValidityResult]:
         for old, new in zip(of_demo, of_this, strict=True):
             text = text.replace(old, new, 1)
         campaign.write_text(text, encoding="utf-8")
-        results = run_campaign(campaign)
+        results = run_campaign(campaign).results
         make_report(results)
         found = read_results(results)
         (bag,) = Path("bags", RIG).glob("*/controlled")

@@ -8,6 +8,7 @@ ends    200 nodes of all kinds interrupted twice at random moments; where there 
         arguments and 50 that get SIGTERM at random moments: crashes, exit codes, nodes left behind
 wrong   10 000 messages of wrong content on every topic and service of every node that streams
 lockstep  the closed loop in lockstep, 20 minutes: memory of every node, and two runs that have to be the same
+campaign  one interrupted 20 times at random: results that are not those of one that was not
 joins   100 nodes that join a running rig and leave: how often it found no command in time
 
 python benchmarks/soak.py SECONDS    # another duration of the first
@@ -22,6 +23,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from campaign_endurance import campaign_endurance
 from controller_speed import lqg3
 from ends import failures, measure
 from isolation import isolated
@@ -31,7 +33,7 @@ from logger_endurance import LOAD, cpu_seconds, flood_rates, running
 from wrong_endurance import CAPACITY, RATE_STEP
 from wrong_endurance import measure as wrong_messages
 
-from abrace.campaign.runner import run_campaign
+from abrace.campaign.course import run_campaign
 from abrace.report.table import Table
 from abrace_bags import read_topics
 from abrace_bags.losses import lost_messages
@@ -102,7 +104,7 @@ def record_graph(duration: float) -> dict[str, Any]:
     campaign = Path("soak.yaml")
     campaign.write_text(CAMPAIGN.format(duration=duration), encoding="utf-8")
     with running(LOAD, Path("load.log")), LoggerUse("/soak") as use:
-        results = run_campaign(campaign)
+        results = run_campaign(campaign).results
     (step,) = json.loads((results / "timing.json").read_text(encoding="utf-8"))["steps"]
     (bag,) = Path("bags/soak").glob("*/closed_loop")
     found = read_topics(bag, [f"/soak/{topic}" for topic in LOOP])
@@ -129,7 +131,15 @@ def main() -> int:
         joined = joins()
         wrong = wrong_messages()
         lockstep = lockstep_endurance()
-    values = {"logger": logger, "ends": ends, "joins": joined, "wrong": wrong, "lockstep": lockstep}
+        campaign = campaign_endurance()
+    values = {
+        "logger": logger,
+        "ends": ends,
+        "joins": joined,
+        "wrong": wrong,
+        "lockstep": lockstep,
+        "campaign": campaign,
+    }
     write_text("results/soak.json", json.dumps(values, indent=1) + "\n")
     bare = f"bare subscription {logger['bare_subscription_rate']:.0f}"
     rows = (
@@ -155,6 +165,11 @@ def main() -> int:
         ("nodes that died of them", f"{wrong['died']}", "0"),
         *((f"memory of {name}, MB more after the first minute", f"{mb:.2f}", "1") for name, mb in grown.items()),
         (f"differences between two runs of {lockstep['compared']} samples", f"{lockstep['different']}", "0"),
+        (
+            f"of {campaign['compared']} results of a campaign interrupted {campaign['interrupted']} times, different",
+            f"{campaign['different']}",
+            "0",
+        ),
     )
     print(Table("Nodes in the long run", ("what", "reached", "asked"), endured).text())
     missed = (
@@ -165,6 +180,8 @@ def main() -> int:
         wrong["died"],
         max(grown.values()) > MEMORY_LIMIT,
         lockstep["different"],
+        campaign["different"],
+        campaign["left"],
     )
     if any(missed):
         return 1

@@ -10,13 +10,19 @@ from pathlib import Path
 
 import pytest
 import yaml
+from ament_index_python.packages import get_package_share_directory
 from domain_coordinator import domain_id
+from same_results import contents
 
 from abrace.processes.group import find_executable
 from abrace_bags import read_facts, read_run, read_topics
 
 SKYHOOK = Path(__file__).parents[2] / "examples/skyhook/skyhook/skyhook.py"
 NOISE = "{record: white_noise, rms: 0.25, band: [0.1, 10.0], seed: 1}"
+SHORT = (
+    f"{{name: shaken, test: {{duration: 4.0, ground_motion: {NOISE}}}}}",
+    "{name: pushed, test: {duration: 10.0, excitation: {rms: 1000.0, band: [0.0, 30.0], seed: 2}}}",
+)
 
 
 @pytest.fixture
@@ -71,12 +77,15 @@ def wait_for(condition, timeout: float, what: str) -> None:
         time.sleep(0.02)
 
 
-def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_listens(tmp_path, environment):
-    path = campaign(
-        tmp_path,
-        f"{{name: shaken, test: {{duration: 4.0, ground_motion: {NOISE}}}}}",
-        "{name: pushed, test: {duration: 4.0, excitation: {rms: 1000.0, band: [0.0, 30.0], seed: 2}}}",
-    )
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """The folder in which the short campaign is run, by the first test."""
+    return tmp_path_factory.mktemp("recorded")
+
+
+def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_listens(recorded, environment):
+    tmp_path = recorded
+    path = campaign(tmp_path, *SHORT)
     listener = [find_executable("abrace_bags", "logger"), "--ros-args", "-p", "all:=true", "-p", "output:=listened"]
     with subprocess.Popen(listener, cwd=tmp_path, env=environment) as listening:
         wait_for((tmp_path / "listened").exists, 30.0, "the listener")
@@ -93,7 +102,7 @@ def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_list
     assert "[1/2] shaken: done" in errors
     assert "[2/2] pushed: done" in errors
     assert "Timing, in lockstep" in output
-    assert 0 < max(wake_ups.values()) < 2000, "less than one for each sample of a test"
+    assert 0 < max(wake_ups.values()) < 5000, "less than one for each sample of the longer test"
     nodes = tmp_path / "results/short/nodes"
     processors = [
         yaml.safe_load((nodes / f"shaken_{name}.yaml").read_text())["/**"]["ros__parameters"]["cpu_affinity"]
@@ -104,9 +113,9 @@ def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_list
     timing = json.loads((tmp_path / "results/short/summary.json").read_text())["timing"]
     assert set(timing["wall_seconds"]) == {"shaken", "pushed"}
     (bags,) = (tmp_path / "bags/short").iterdir()
-    for step, moved in (("shaken", "ground_acceleration"), ("pushed", "command")):
+    for step, moved, seconds in (("shaken", "ground_acceleration", 4), ("pushed", "command", 10)):
         run = read_run(bags / step)
-        assert len(run.outputs) == 2000
+        assert len(run.outputs) == 500 * seconds
         assert run.sequence[0] == 0
         assert abs(getattr(run, moved)).max() > 0.5
         facts = read_facts(bags / step)
@@ -115,9 +124,10 @@ def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_list
         topics = read_topics(bags / step)
         assert topics.attachments.keys() == {"ncree_three_storey.yaml"}
         drive = {"shaken": "ground_motion", "pushed": "brace_command"}[step]
+        due = list(range(0, seconds * 10**9, 2 * 10**6))
         for topic in ("response", drive):
-            assert list(topics[f"/short/{topic}"].log_time) == list(range(0, 4 * 10**9, 2 * 10**6)), "the samples' time"
-        assert topics["/diagnostics"].log_time.max() < 4e9
+            assert list(topics[f"/short/{topic}"].log_time) == due, "the samples' time"
+        assert topics["/diagnostics"].log_time.max() < seconds * 1e9
     assert not nodes_of(tmp_path)
 
 
@@ -182,47 +192,95 @@ def test_modes_of_the_frame_without_braces_and_without_a_drive_are_in_the_report
     assert read_facts(bags / "quiet")["disconnected_braces"] == "[1]"
 
 
-def test_a_node_that_dies_ends_the_campaign_with_its_name_and_last_lines(tmp_path, environment):
-    path = campaign(tmp_path, f"{{name: shaken, test: {{duration: 600.0, ground_motion: {NOISE}}}}}")
-    process = start(tmp_path, environment, "campaign", str(path))
-    log = tmp_path / "results/short/nodes/shaken_logger.log"
-    wait_for(lambda: len(nodes_of(tmp_path)) == 3 and log.exists(), 30, "three nodes")
-    (victim,) = [pid for pid in nodes_of(tmp_path) if b"ground_motion\0" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+def test_a_campaign_interrupted_three_times_goes_on_and_has_the_results_of_one_that_was_not(
+    recorded, tmp_path, environment
+):
+    command = ["campaign", str(campaign(tmp_path, *SHORT))]
+    results = tmp_path / "results"
+
+    def grown() -> list[Path]:
+        bags = (tmp_path / "bags").glob("short/*/pushed/*.mcap")
+        return [bag for bag in bags if bag.stat().st_size > 50_000]
+
+    for count, number in enumerate((signal.SIGINT, signal.SIGKILL, signal.SIGTERM), 1):
+        process = start(tmp_path, environment, *command)
+        wait_for(lambda count=count: len(grown()) == count, 60, "a bag that grows")
+        process.send_signal(number)
+        _, errors = process.communicate(timeout=120)
+        assert process.returncode == {signal.SIGINT: 130, signal.SIGTERM: 143}.get(number, -number)
+        assert "Traceback" not in errors
+        assert ("shaken: whole, kept" in errors) == (count > 1)
+        assert not (results / "short").exists()
+        if number == signal.SIGKILL:
+            continue  # its nodes end meanwhile; the next run waits for them
+        assert not nodes_of(tmp_path)
+        assert "1 of 2 steps are whole, in results/_unfinished/short; the same command goes on with pushed" in errors
+        assert (grown()[-1].parent / "metadata.yaml").exists()
+    process = start(tmp_path, environment, *command)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert "[1/2] shaken: whole, kept\n" in errors
+    found, expected = contents(tmp_path, "short"), contents(recorded, "short")
+    assert found == expected
+    assert {"shaken /short/response", "pushed /short/brace_command", "nodes/shaken_plant.yaml"} <= found.keys()
+    assert sorted(path.name for path in results.iterdir()) == [".short.lock", "short"]
+    assert len(list((tmp_path / "bags/short").iterdir())) == 4, "bags are never written over"
+
+
+def test_from_a_step_on_it_is_run_anew_and_what_fails_leaves_the_last_results(recorded, environment):
+    before = contents(recorded, "short")
+    path = recorded / "campaign.yaml"
+    text = path.read_text()
+    path.write_text(text.replace("rms: 0.25", "rms: 0.26"))
+    refused = start(recorded, environment, "campaign", str(path), "--from", "pushed")
+    assert "--from pushed: step shaken: its text has changed" in refused.communicate(timeout=60)[1]
+    assert refused.returncode == 2
+    path.write_text(text.replace("duration: 10.0", "duration: 600.0"))
+    process = start(recorded, environment, "campaign", str(path), "--from", "pushed")
+    wait_for(lambda: len(nodes_of(recorded)) == 3, 30, "three nodes")
+    (victim,) = [pid for pid in nodes_of(recorded) if b"excitation\0" in Path(f"/proc/{pid}/cmdline").read_bytes()]
     os.kill(victim, signal.SIGKILL)
     _, errors = process.communicate(timeout=120)
+    path.write_text(text)
     assert process.returncode == 1
-    assert "ground_motion died (ended by SIGKILL)" in errors
+    assert "[1/2] shaken: whole, kept\n" in errors
+    assert "excitation died (ended by SIGKILL)" in errors
     assert "Traceback" not in errors
-    assert not nodes_of(tmp_path)
+    assert not nodes_of(recorded)
+    assert contents(recorded, "short") == before
+    failed = json.loads((recorded / "results/_unfinished/short/summary.json").read_text())["failed"]
+    assert failed["step"] == "pushed"
+    assert "excitation died" in failed["cause"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_stopped_campaign_leaves_no_process_and_a_closed_bag(tmp_path, environment, number):
-    path = campaign(tmp_path, f"{{name: shaken, test: {{duration: 600.0, ground_motion: {NOISE}}}}}")
+def test_a_test_that_is_not_to_be_trusted_sets_the_exit_code_and_a_fault_ends_the_campaign(tmp_path, environment):
+    rig = Path(get_package_share_directory("abrace_plant"), "config/ncree_three_storey.yaml").read_text()
+    for before, after in (
+        ("ground_acceleration: {range: 1.5,", "ground_acceleration: {range: 0.55,"),
+        ("clipped: {time: 0.02, action: stop, reset: person}", "clipped: {time: 0.02, action: warn}"),
+        ("stuck: {time: 0.05, action: stop, reset: person}", "stuck: {time: 0.05, action: warn}"),
+    ):
+        assert before in rig
+        rig = rig.replace(before, after)
+    (tmp_path / "near.yaml").write_text(rig)
+    path = campaign(tmp_path, f"{{name: shaken, test: {{duration: 4.0, rig: near.yaml, ground_motion: {NOISE}}}}}")
     process = start(tmp_path, environment, "campaign", str(path))
-
-    def recording() -> bool:
-        bags = list((tmp_path / "bags").glob("short/*/shaken/*.mcap"))
-        return bool(bags) and bags[0].stat().st_size > 100_000
-
-    wait_for(recording, 60, "a bag that grows")
-    process.send_signal(number)
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 1
+    assert "abrace: not to be trusted: shaken: w: " in errors
+    assert "What happened in the tests" in output
+    summary = json.loads((tmp_path / "results/short/summary.json").read_text())
+    assert summary["happened"]["shaken"]["clipped"]["w"] > 10
+    path = campaign(
+        tmp_path, f"{{name: shaken, test: {{duration: 4.0, sensor_faults: [a1=stuck@2.0], ground_motion: {NOISE}}}}}"
+    )
+    process = start(tmp_path, environment, "campaign", str(path))
     _, errors = process.communicate(timeout=120)
-    assert process.returncode in (130, 143)
+    assert process.returncode == 1
+    assert "a1: stuck at" in errors
+    assert "0 of 1 steps are whole, in results/_unfinished/short" in errors
     assert "Traceback" not in errors
-    assert not nodes_of(tmp_path)
-    (bag,) = (tmp_path / "bags").glob("short/*/shaken")
-    assert (bag / "metadata.yaml").exists()
-    assert len(read_run(bag).outputs) > 100
-
-
-def test_a_campaign_that_is_killed_leaves_no_process(tmp_path, environment):
-    path = campaign(tmp_path, f"{{name: shaken, test: {{duration: 600.0, ground_motion: {NOISE}}}}}")
-    process = start(tmp_path, environment, "campaign", str(path))
-    wait_for(lambda: len(nodes_of(tmp_path)) == 3, 30, "three nodes")
-    process.kill()
-    process.communicate()
-    wait_for(lambda: not nodes_of(tmp_path), 30, "the nodes' end")
+    assert json.loads((tmp_path / "results/short/summary.json").read_text()) == summary
 
 
 @pytest.mark.parametrize(

@@ -190,3 +190,13 @@ def test_a_missing_answer_ends_the_run_and_is_named(graph):
     assert line.endswith("no answer to sample 0 on brace_command within 0.5 s (lockstep_timeout)")
     graph.until(lambda: any("no answer to sample 0" in message.msg for message in logged), "it on /rosout")
     assert [message.sequence for message in responses] == [0]
+
+
+def test_a_run_that_ends_with_a_fault_is_not_done(graph):
+    graph.start("plant", lockstep=True, wait_for=["ground_motion"], duration=1.0, sensor_faults=["a1=stuck@0.2"])
+    graph.start("ground_motion", record="white_noise", duration=4.0)
+    assert graph.ended("plant") == 1
+    output = graph.output_of("plant")
+    assert not any("done" in line for line in output)
+    assert "ended with a fault: a1: stuck at" in output[-1]
+    assert "500 samples in " in output[-1]

@@ -19,6 +19,7 @@ KEYS = {
     "pytest": "python3-pytest",
     "hypothesis": "python3-hypothesis",
     "psutil": "python3-psutil",
+    "rich": "python3-rich",
 }
 """rosdep's keys of Python packages that apt installs on Ubuntu 24.04, by import; a ROS package is its own key."""
 FROM_PIP = {

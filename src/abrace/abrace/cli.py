@@ -12,7 +12,7 @@ from abrace.bag_command import add_bag_parser, bag_command
 from abrace.processes.group import NodeDied, find_executable, terminate_as_exception
 from abrace.report_command import add_report_parser, report_command
 from abrace_core.command_line import OneLineParser
-from abrace_core.errors import AbraceError
+from abrace_core.errors import AbraceError, RunFailed
 from abrace_core.ros_arguments import check_environment
 
 if TYPE_CHECKING:
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 DEMO = "demo"
 WRONG_INPUT = 2
-"""Exit code when something that was given is wrong, to a node or to this command; 1: something failed."""
+"""Exit code when something that was given is wrong, to a node or to this command."""
+FAILED = 1
+"""Exit code when something failed while it ran, or its results are not to be trusted."""
 
 
 def parser() -> OneLineParser:
@@ -48,6 +50,7 @@ def parser() -> OneLineParser:
     file = campaign.add_argument("file", help="YAML file, or the name of one of ours: demo, five_controllers")
     _completed(file, completion.campaigns)
     campaign.add_argument("--check", action="store_true", help="only check the file, and say what it will do")
+    campaign.add_argument("--from", dest="start", metavar="STEP", help="run this step and those after it anew")
     add_report_parser(commands)
     add_bag_parser(commands)
     commands.add_parser(
@@ -91,7 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return code
     except AbraceError as error:
         print(f"abrace: {error}", file=sys.stderr)
-        return 1 if isinstance(error, NodeDied) and error.returncode != WRONG_INPUT else WRONG_INPUT
+        refused = isinstance(error, NodeDied) and error.returncode == WRONG_INPUT
+        return FAILED if isinstance(error, RunFailed) and not refused else WRONG_INPUT
     except BrokenPipeError:
         # who read the output has had enough; what Python still writes at its end goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -119,11 +123,14 @@ def _carry_out(given: argparse.Namespace) -> int:
         report_command(given)
         return 0
     check_environment()
-    from abrace.campaign.runner import run_campaign
-    from abrace.report.writer import make_report
+    from abrace.campaign.course import run_campaign
 
-    print(make_report(run_campaign(_campaign_file(given.file if given.command == "campaign" else DEMO))))
-    return 0
+    name, start = (given.file, given.start) if given.command == "campaign" else (DEMO, None)
+    outcome = run_campaign(_campaign_file(name), start)
+    print(outcome.tables)
+    for doubt in outcome.doubts:
+        print(f"abrace: not to be trusted: {doubt}", file=sys.stderr)
+    return FAILED if outcome.doubts else 0
 
 
 def _campaign_file(name: str) -> Path:

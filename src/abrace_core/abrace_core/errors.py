@@ -1,4 +1,4 @@
-"""The exception for mistakes of the user."""
+"""The exceptions whose message is for the user: for mistakes, and for what fails while it runs."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ class AbraceError(Exception):
 
     A node's `main` prints the message as one line and exits with code 2.
     """
+
+
+class RunFailed(AbraceError):  # noqa: N818
+    """What the user gave may be right, and yet something failed while it ran: the exit code is 1."""
 
 
 def not_json(error: ValueError) -> str:

@@ -46,6 +46,12 @@ class Progress:
         self._clock = clock
         self._number = 0
 
+    def kept(self, name: str) -> None:
+        """Say that a step called `name` was done before, and is whole."""
+        self._number += 1
+        self._stream.write(f"[{self._number}/{self._steps}] {name}: whole, kept\n")
+        self._stream.flush()
+
     @contextlib.contextmanager
     def step(self, name: str) -> Iterator[Step]:
         """Show a step called `name` while the block runs, and at its end whether it was done, stopped or failed."""

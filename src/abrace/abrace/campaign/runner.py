@@ -1,7 +1,4 @@
-"""Runs a campaign: the live tests of the rig, and the offline steps between them, each node a process of its own.
-
-Bags go to `bags/NAME/TIME/STEP`, never over an earlier one; results go to `results/NAME`, which is made anew.
-"""
+"""Runs the steps of a campaign: live tests of the rig, offline steps between them, each node a process of its own."""
 
 from __future__ import annotations
 
@@ -9,40 +6,34 @@ import contextlib
 import json
 import os
 import re
-import shutil
-import sys
 import time
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from abrace.campaign.drivers import NodeStart, abrace_node, drivers, rig_node
 from abrace.campaign.drives import Record
+from abrace.campaign.examination import examine
 from abrace.campaign.names import CONTROLLER_FILE, MODEL_FILE, is_path
-from abrace.campaign.origin import write_origin
-from abrace.campaign.plan import check_campaign
 from abrace.campaign.poles import compare_poles
 from abrace.campaign.tasks import Ambient, Compare, Design, Identify, OwnController, OwnNode, RigTest, Validate
 from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
 from abrace.processes.group import NodeDied, ProcessGroup, find_executable
 from abrace.processes.parameter_file import parameter_file
-from abrace_bags import read_topics
 from abrace_core.controller_file import load_controller
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
+from abrace_core.errors import RunFailed
 from abrace_core.linear_model import save_model
 from abrace_core.node import DIAGNOSTICS
 from abrace_core.node.transport import lockstep_environment
-from abrace_core.progress import Progress
-from abrace_core.sequence import missing_numbers
 from abrace_plant.devices.file import calibration_of
 from abrace_plant.records.files import record_file, record_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
+    from abrace.campaign.display import DisplayedStep
+    from abrace.campaign.done import DoneSteps
     from abrace.campaign.file import Campaign
     from abrace.campaign.laboratory import Laboratories, Laboratory
     from abrace.campaign.tasks import Task
@@ -72,17 +63,21 @@ def unless_over(node: str) -> Iterator[None]:
 
 
 @dataclass
-class _Runner:
-    """A campaign that is being run."""
+class Runner:
+    """Runs the steps of a campaign; `lock`: an open file that whoever ends the nodes holds, too."""
 
     campaign: Campaign
     laboratories: Laboratories
     results: Path
     bags: Path
-    timing: list[dict[str, Any]] = field(default_factory=list)
+    lock: int
+    seen: Callable[[GraphMonitor, Laboratory], None] = lambda _monitor, _lab: None
+    """Called while a test runs, whenever something may have come from its nodes."""
+    done: DoneSteps = field(init=False)
+    """Set before the first step is run."""
 
     def environment(self, lockstep: bool) -> dict[str, str]:
-        """Variables that the nodes get in addition to ours."""
+        """Variables that the nodes of a test, in `lockstep` or not, get in addition to ours."""
         single = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         own = {key: value for key, value in LOCAL.items() if key not in os.environ}
         if lockstep:
@@ -90,7 +85,7 @@ class _Runner:
         return {**own, **single}
 
     def start(self, group: ProcessGroup, step: str, node: NodeStart, lockstep: bool = False) -> None:
-        """Start a node of a step."""
+        """Start a `node` of a `step`, of which the test is in `lockstep` or not, in a `group`."""
         folder = self.results / "nodes"
         command: list[str | Path] = [*node.program, "--ros-args"]
         for file in (*node.files, parameter_file(folder / f"{step}_{node.name}.yaml", node.parameters)):
@@ -99,7 +94,7 @@ class _Runner:
         group.start(node.name, command, folder / f"{step}_{node.name}.log", self.environment(lockstep))
 
     def start_emulator(self, group: ProcessGroup, step: str, lab: Laboratory, seed: int) -> None:
-        """Start the emulator behind the device of a test, and wait until it ticks."""
+        """Start the emulator of a `lab` with a `seed`, and wait until it ticks; as in `start`."""
         assert lab.device_file is not None
         folder = self.results / "nodes"
         program = find_executable("abrace_plant", "emulator")
@@ -117,8 +112,8 @@ class _Runner:
             return Path(controller)
         return self.results / controller / f"{controller}{CONTROLLER_FILE}"
 
-    def run_test(self, name: str, test: RigTest, number: int, shown: ShownStep) -> dict[str, Any]:
-        """Run the live graph and record it; returns the step's timing."""
+    def run_test(self, name: str, test: RigTest, number: int, shown: ShownStep | DisplayedStep) -> dict[str, Any]:
+        """Run the live graph and record it; as in `run_step`."""
         lockstep, lab = self.campaign.in_lockstep(test), self.laboratories.of(test)
         seed = SEED + number if test.sensor_seed is None else test.sensor_seed
         inputs = drivers(test, lab, self.controller_file)
@@ -134,7 +129,7 @@ class _Runner:
         loops = [rig_node(test, lab, seed, list(inputs) if lockstep else []), *inputs.values()]
         nodes = {topic: one.name for topic, one in inputs.items()}
         samples = round(test.duration * lab.rig.sample_rate)
-        with ProcessGroup() as group, GraphMonitor(f"/{self.campaign.name}", ("plant",)) as monitor:
+        with ProcessGroup(held=[self.lock]) as group, GraphMonitor(f"/{self.campaign.name}", ("plant",)) as monitor:
             self.start(group, name, abrace_node("abrace_bags", "logger", logger), lockstep)
             if lab.setup.emulator:
                 self.start_emulator(group, name, lab, seed)
@@ -150,14 +145,18 @@ class _Runner:
             with unless_over("plant"):
                 monitor.activate("plant", PATIENCE, group.raise_if_died)
             run_seconds, done = self.watch(group, monitor, samples, lab, shown)
-            group.stop_all([*nodes.values(), "plant", "logger"])
-        counts = {"samples": samples, "run_seconds": run_seconds}
-        return counts if lockstep else {**counts, **self.losses(bag, done)}
+            group.stop_together([*nodes.values(), "plant"])
+            group.stop_all()
+        happened: dict[str, Any] = {"samples": samples, "run_seconds": run_seconds}
+        published = samples if lockstep else None  # a rig of the user's does not say
+        if done and not lockstep:
+            published, happened["missed_deadlines"] = self.counts(done)
+        return happened | examine(bag, f"/{self.campaign.name}/response", published)
 
     def loop_parameters(self, number: int, lockstep: bool) -> dict[str, Any]:
         """What the loop of a test's node asks the kernel for; number 0 is the rig.
 
-        In lockstep each keeps to one processor, in turn from one on that is not that of every campaign.
+        In `lockstep` each keeps to one processor, in turn from one on that is not that of every campaign.
         """
         given: dict[str, Any] = {}
         if self.campaign.thread_priority:
@@ -167,24 +166,25 @@ class _Runner:
             given["cpu_affinity"] = [processors[(os.getpid() + number) % len(processors)]]
         return given
 
-    def losses(self, bag: Path, done: str) -> dict[str, int]:
-        """Samples of a run by the clock that are not in the bag, and answers that did not act from the next sample on.
+    def counts(self, done: str) -> tuple[int, int]:
+        """Samples of a run by the clock, and answers that did not act from the next sample on.
 
-        `done` is what the rig has printed at the end; empty: a rig of the user's, of which the bag alone tells.
+        `done` is what the rig has printed at the end.
         """
-        topic = f"/{self.campaign.name}/response"
-        response = read_topics(bag, [topic])[topic]
-        if not done:
-            return {"lost_samples": missing_numbers(response.fields["sequence"])[1]}
         found = re.search(r"done: ([0-9]+) samples, ([0-9]+) late answers", done)
         if found is None:
-            raise AbraceError(f"the rig ended with {done!r}, expected its counts")
-        return {"lost_samples": int(found[1]) - int(response.log_time.size), "missed_deadlines": int(found[2])}
+            raise RunFailed(f"the rig ended with {done!r}, expected its counts")
+        return int(found[1]), int(found[2])
 
     def watch(
-        self, group: ProcessGroup, monitor: GraphMonitor, samples: int, lab: Laboratory, shown: ShownStep
+        self,
+        group: ProcessGroup,
+        monitor: GraphMonitor,
+        samples: int,
+        lab: Laboratory,
+        shown: ShownStep | DisplayedStep,
     ) -> tuple[float, str]:
-        """Show a test's progress until the plant ends; returns its duration [s] and its last lines.
+        """Show a test's progress until the plant ends; returns its duration [s] and its last lines; as in `run_test`.
 
         A rig of the user's is deactivated once all samples are recorded, unless it ends by itself.
         """
@@ -193,8 +193,9 @@ class _Runner:
         last_sequence = -1
         while (ended := group.poll()) is None:
             monitor.spin_once()
+            self.seen(monitor, lab)
             for node, fault in monitor.faults.items():
-                raise AbraceError(f"{node}: {fault}")
+                raise RunFailed(f"{node}: {fault}")
             now = time.monotonic()
             recorded = int(monitor.values.get("logger", {}).get("messages of response", 0))
             sequence = recorded - 1 if own_rig else int(monitor.values.get("plant", {}).get("sequence", -1))
@@ -208,7 +209,7 @@ class _Runner:
                 speed = (sequence + 1) / rate / max(now - begin, 1e-9)
                 shown.update((sequence + 1) / samples, f"{speed:.1f} x real time")
             elif now - last_news > STUCK:
-                raise AbraceError(f"no new sample for {STUCK:g} s, the last one was {last_sequence}")
+                raise RunFailed(f"no new sample for {STUCK:g} s, the last one was {last_sequence}")
         group.raise_if_died(may_finish=["plant"])
         if ended.name != "plant":
             raise ended.died()
@@ -219,15 +220,23 @@ class _Runner:
         return seconds, done
 
     def run_offline(self, name: str, package: str, executable: str, parameters: dict[str, Any]) -> None:
-        """Run an offline node to its end."""
-        with ProcessGroup() as group:
+        """Run an offline node to its end; as in `abrace_node`, for the step `name`."""
+        with ProcessGroup(held=[self.lock]) as group:
             self.start(group, name, abrace_node(package, executable, parameters))
             while group.poll() is None:
                 time.sleep(0.05)
             group.raise_if_died(may_finish=[executable])
 
-    def run_step(self, number: int, name: str, task: object, shown: ShownStep) -> dict[str, Any]:
-        """Run one step; returns further entries for its timing."""
+    def run_step(self, number: int, name: str, task: object, shown: ShownStep | DisplayedStep) -> dict[str, Any]:
+        """Run one step; returns further entries for its timing.
+
+        Parameters
+        ----------
+        number, name, task
+            Of the step, 0 the first; what is to be done.
+        shown
+            Its progress.
+        """
         output = self.results / name
         match task:
             case RigTest():
@@ -286,11 +295,14 @@ class _Runner:
         return {}
 
     def bag_of(self, test: str) -> str:
-        """The bag of a test of this campaign, or of another one by its path."""
-        return test if is_path(test) else str(self.bags / test)
+        """The bag of a `test`: of this run, of one that it goes on with, or of another campaign by its path."""
+        if is_path(test):
+            return test
+        done = self.done.steps.get(test)
+        return str(self.bags / test) if done is None or done.bag is None else done.bag
 
     def bags_of(self, tests: Sequence[str]) -> list[str]:
-        """The bags of some tests."""
+        """The bags of some `tests`."""
         return [self.bag_of(test) for test in tests]
 
     def models(self, model: str, *names: str) -> list[str]:
@@ -301,7 +313,7 @@ class _Runner:
         return [str(folder / f"{name}{MODEL_FILE}") for name in names]
 
     def rig_behind(self, task: Task) -> tuple[Rig, bool]:
-        """The rig as it was in the tests behind an identification or a design, and whether its file says all of it."""
+        """The rig as it was in the tests behind a `task`, and whether its file says all of it."""
         lab, test = self.laboratories.behind(task)
         return lab.rig.disconnect(test.disconnected_braces if test else ()), test is not None and lab.setup.simulated
 
@@ -315,13 +327,13 @@ class _Runner:
         return rig, [str(path)]
 
     def loop_of(self, task: Validate) -> str | None:
-        """The controller that closes the loop of a comparison: that of the test, unless it is a node of the user's."""
+        """The controller that closes the loop of a `task`: that of the test, unless it is a node of the user's."""
         test = self.campaign.tests.get(task.test)
         controller = task.controller if test is None else test.controller
         return None if isinstance(controller, OwnController) else controller
 
     def facts(self, name: str, test: RigTest, lab: Laboratory, seed: int) -> dict[str, str]:
-        """What a test's bag says of its run."""
+        """What a test's bag says of its run; as in `run_test`."""
         facts = {
             "campaign": self.campaign.name,
             "step": name,
@@ -356,7 +368,7 @@ class _Runner:
         return facts
 
     def attachments(self, test: RigTest, lab: Laboratory) -> list[Path]:
-        """The files that a test is made of, which go into its bag: rig, device, controller, its model, record."""
+        """The files that a `test` in a `lab` is made of, for its bag: rig, device, controller, its model, record."""
         paths = [lab.rig_file]
         if lab.device_file is not None:
             paths += [path for path in (lab.device_file, calibration_of(lab.device_file)) if path is not None]
@@ -371,37 +383,3 @@ class _Runner:
             record = record_file(test.ground_motion.record)
             paths += [record] if record.is_file() else []
         return paths
-
-    def write_timing(self) -> None:
-        """Write the campaign's timing.json."""
-        rate = self.laboratories.of().rig.sample_rate
-        timing = {"lockstep": self.campaign.lockstep, "sample_rate": rate, "steps": self.timing}
-        write_text(self.results / "timing.json", json.dumps(timing, indent=1))
-
-
-def run_campaign(path: Path) -> Path:
-    """Run every step of a campaign file; returns the folder of its results.
-
-    Raises
-    ------
-    AbraceError
-        If the file is wrong, a ground motion is more than the table has, a node dies or refuses, or a step fails.
-    """
-    plan = check_campaign(path)
-    for care in plan.cares:
-        print(f"abrace: care: {care}", file=sys.stderr)
-    campaign, laboratories = plan.checked.campaign, plan.checked.laboratories
-    results = Path("results") / campaign.name
-    bags = Path("bags") / campaign.name / datetime.now().strftime("%Y%m%d-%H%M%S")
-    shutil.rmtree(results, ignore_errors=True)
-    results.mkdir(parents=True)
-    write_origin(results, path)
-    runner = _Runner(campaign, laboratories, results, bags)
-    progress = Progress(len(campaign.steps))
-    for number, step in enumerate(campaign.steps):
-        with progress.step(step.name) as shown:
-            begin = time.monotonic()
-            more = runner.run_step(number, step.name, step.task, shown)
-            runner.timing.append({"name": step.name, "wall_seconds": time.monotonic() - begin, **more})
-            runner.write_timing()
-    return results

@@ -12,7 +12,8 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.signals import SignalHandlerOptions
 
-from abrace_core.errors import AbraceError
+from abrace.report.node_table import NodeReport
+from abrace_core.errors import RunFailed
 from abrace_core.node import DIAGNOSTICS
 
 if TYPE_CHECKING:
@@ -72,6 +73,8 @@ class GraphMonitor:
         """Values of each node's last diagnostics, by node name."""
         self.faults: dict[str, str] = {}
         """The fault that each node reports."""
+        self.reports: dict[str, NodeReport] = {}
+        """What each node has reported last."""
 
     def __enter__(self) -> Self:
         self._context = rclpy.Context()
@@ -101,8 +104,11 @@ class GraphMonitor:
             namespace, _, name = status.name.partition(":")[0].rpartition("/")
             if f"/{namespace}" != self._namespace:
                 continue
-            self.values[name] = {pair.key: pair.value for pair in status.values}
-            if status.level == b"\x02":
+            values = self.values[name] = {pair.key: pair.value for pair in status.values}
+            failed = status.level == b"\x02"
+            before, now = self.reports.get(name), time.monotonic()
+            self.reports[name] = NodeReport.after(before, status.message, failed, values, now)
+            if failed:
                 self.faults[name] = status.message
             else:
                 self.faults.pop(name, None)
@@ -116,7 +122,7 @@ class GraphMonitor:
 
         Raises
         ------
-        AbraceError
+        RunFailed
             If none come within `timeout` [s].
         """
         deadline = time.monotonic() + timeout
@@ -124,7 +130,7 @@ class GraphMonitor:
             self.spin_once()
             check()
             if time.monotonic() > deadline:
-                raise AbraceError(f"no diagnostics of {node} in namespace {self._namespace} within {timeout:g} s")
+                raise RunFailed(f"no diagnostics of {node} in namespace {self._namespace} within {timeout:g} s")
 
     def tells_partners(self, node: str, timeout: float, check: Callable[[], None]) -> bool:
         """Whether a node of the user's says in its diagnostics whom it has found, as ours do.
@@ -163,7 +169,7 @@ class GraphMonitor:
 
         Raises
         ------
-        AbraceError
+        RunFailed
             If some are missing after `timeout`, naming them; if there are more publishers than expected.
         """
         deadline = time.monotonic() + timeout
@@ -179,7 +185,7 @@ class GraphMonitor:
                         # a count does not tell whose: where a viewer has matched, a partner may be missing
                         count = max(count, self._listeners(topic))
                     elif side == "publishers" and found > count:
-                        raise AbraceError(
+                        raise RunFailed(
                             f"{node} has {found} {entry} in namespace {self._namespace}, expected {count}: "
                             "other nodes run there"
                         )
@@ -188,7 +194,7 @@ class GraphMonitor:
             if not missing:
                 return
             if time.monotonic() > deadline:
-                raise AbraceError(f"nodes did not find each other within {timeout:g} s: {'; '.join(missing)}")
+                raise RunFailed(f"nodes did not find each other within {timeout:g} s: {'; '.join(missing)}")
 
     def _listeners(self, topic: str) -> int:
         """Subscriptions to a topic that its publisher can serve, those of viewers included."""
@@ -201,7 +207,7 @@ class GraphMonitor:
 
         Raises
         ------
-        AbraceError
+        RunFailed
             If it refuses or does not answer in time.
         """
         client = self._state_clients[node]
@@ -210,7 +216,7 @@ class GraphMonitor:
             self.spin_once()
             check()
             if time.monotonic() > deadline:
-                raise AbraceError(f"{node} does not offer its life cycle within {timeout:g} s")
+                raise RunFailed(f"{node} does not offer its life cycle within {timeout:g} s")
         request = ChangeState.Request()
         request.transition.id = transition
         future = client.call_async(request)
@@ -218,9 +224,9 @@ class GraphMonitor:
             self.spin_once()
             check()
             if time.monotonic() > deadline:
-                raise AbraceError(f"{node} did not change its state within {timeout:g} s")
+                raise RunFailed(f"{node} did not change its state within {timeout:g} s")
         if not future.result().success:
-            raise AbraceError(f"{node} refused the life cycle transition {transition}")
+            raise RunFailed(f"{node} refused the life cycle transition {transition}")
 
     def configure(self, node: str, timeout: float, check: Callable[[], None]) -> None:
         """Configure a life cycle node."""

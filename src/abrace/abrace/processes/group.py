@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from abrace.processes import orphan_guard
-from abrace_core.errors import AbraceError
+from abrace_core.errors import AbraceError, RunFailed
 from abrace_core.suggestion import expected_of
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def _is_executable(path: Path) -> bool:
     return path.is_file() and os.access(path, os.X_OK)
 
 
-class NodeDied(AbraceError):  # noqa: N818
+class NodeDied(RunFailed):
     """A node ended by itself.
 
     Parameters
@@ -148,6 +148,8 @@ class ProcessGroup:
     ----------
     grace
         Patience after SIGINT, and again after SIGTERM and SIGKILL, when a process is stopped [s].
+    held
+        Open files that the guard holds too, such as a lock: until the last process has ended, kill -9 included.
 
     Examples
     --------
@@ -161,8 +163,9 @@ class ProcessGroup:
     ('hello', 0, ['hello'])
     """
 
-    def __init__(self, grace: float = 5.0) -> None:
+    def __init__(self, grace: float = 5.0, held: Sequence[int] = ()) -> None:
         self._grace = grace
+        self._held = held
         self._processes: dict[str, NodeProcess] = {}
         self._ended: list[NodeProcess] = []
 
@@ -174,6 +177,7 @@ class ProcessGroup:
             bufsize=0,
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
+            pass_fds=self._held,
             start_new_session=True,
         )
         assert self._guard.stdin is not None
@@ -271,14 +275,20 @@ class ProcessGroup:
             With its exit code.
         """
         process = self._processes[name]
-        orphan_guard.end([process.group], self._grace if grace is None else grace)
-        with contextlib.suppress(BrokenPipeError):
-            self._to_guard.write(f"-{process.group}\n".encode())
-        process.reap()
-        del self._processes[name]
-        if process in self._ended:
-            self._ended.remove(process)
+        self.stop_together([name], grace)
         return process
+
+    def stop_together(self, names: Collection[str], grace: float | None = None) -> None:
+        """Stop the processes of these `names` at the same time; `grace` as in `stop`."""
+        processes = [self._processes[name] for name in names]
+        orphan_guard.end([process.group for process in processes], self._grace if grace is None else grace)
+        for process in processes:
+            with contextlib.suppress(BrokenPipeError):
+                self._to_guard.write(f"-{process.group}\n".encode())
+            process.reap()
+            del self._processes[process.name]
+            if process in self._ended:
+                self._ended.remove(process)
 
     def stop_all(self, order: Sequence[str] = (), grace: float | None = None) -> None:
         """Stop every process: those in `order` first, then the others, the last started first; `grace` as in `stop`."""

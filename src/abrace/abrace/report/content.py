@@ -12,13 +12,13 @@ from abrace.report.recorded_figures import motion_figure, response_figure
 from abrace.report.sections import Listing, Part, Picture, Section, pictures
 from abrace.report.table import Table
 from abrace.report.tables import (
-    clipped_tables,
     identification_tables,
     interval_tables,
     margin_table,
     one_comparison,
     tables_of_all,
     timing_table,
+    trouble_tables,
 )
 from abrace_core import signals
 from abrace_core.drawing import captioned, save_figure
@@ -148,7 +148,7 @@ class Report:
             yield from pictures(self.directory / step)
 
     def _trouble(self) -> Iterator[Part]:
-        yield from clipped_tables(self.results)
+        yield from trouble_tables(self.results)
         rows = [
             (
                 test.step,

@@ -34,13 +34,16 @@ validity.json, from an identify step; `limit` is that beyond which care is neede
                    "verdict": "trust with care", "cause": "friction", "meaning": "...", "advice": "..."}, ...],
      "not_checked": {}}
 
-timing.json, from the campaign; `samples` and `run_seconds` (from the first sample to the last) for tests alone; of
-tests in real time `lost_samples`, which are not in the bag, and `missed_deadlines`, answers that came too late to act
-from the next sample on::
+timing.json, from the campaign; `samples`, `run_seconds` (from the first sample to the last) and `lost_samples`, which
+are not in the bag, for tests alone; of those in real time `missed_deadlines`, answers that came too late to act from
+the next sample on. What happened in a test is counted in samples: `clipped` by channel, at an end of its range,
+`saturated`, `rate_limited`, `table_limited`, `stop_pressed`, `late`. `failed` is there where a step ended it all::
 
     {"lockstep": true, "sample_rate": 500.0,
-     "steps": [{"name": "table_noise", "wall_seconds": 41.3, "samples": 120000, "run_seconds": 38.0},
-               {"name": "model", "wall_seconds": 7.2}]}
+     "steps": [{"name": "table_noise", "wall_seconds": 41.3, "samples": 120000, "run_seconds": 38.0, "lost_samples": 0,
+                "clipped": {"a2": 14}, "saturated": 3},
+               {"name": "model", "wall_seconds": 7.2}],
+     "failed": {"step": "lqg3", "cause": "..."}}
 """
 
 from __future__ import annotations
@@ -272,7 +275,7 @@ class Origin(pydantic.BaseModel):
 
 
 class StepTiming(Checked):
-    """How long a step took."""
+    """How long a step took, and what happened in a test, counted in samples."""
 
     name: str
     wall_seconds: NonNegative
@@ -280,6 +283,19 @@ class StepTiming(Checked):
     run_seconds: Positive | None = None
     lost_samples: int | None = None
     missed_deadlines: Count | None = None
+    clipped: dict[str, Count] = {}
+    saturated: Count = 0
+    rate_limited: Count = 0
+    table_limited: Count = 0
+    stop_pressed: Count = 0
+    late: Count = 0
+
+
+class Failed(Checked):
+    """The step that ended a campaign, and why."""
+
+    step: str
+    cause: str
 
 
 class Timing(Checked):
@@ -288,6 +304,7 @@ class Timing(Checked):
     lockstep: bool
     sample_rate: Positive
     steps: tuple[StepTiming, ...]
+    failed: Failed | None = None
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from abrace.report.happenings import happenings
 from abrace_core.response import TABLE_1_EXPERIMENT, PeakRms, mean_relative_error, shown_unit
 
 if TYPE_CHECKING:
@@ -20,7 +21,9 @@ SAME_POLE = 0.05
 
 def summarise(results: Results, units: Units) -> dict[str, Any]:
     """The content of summary.json from the `results` of a campaign, in these `units`."""
-    summary: dict[str, Any] = {"timing": timing_summary(results.timing)}
+    summary: dict[str, Any] = {"timing": timing_summary(results.timing), "happened": happenings(results.timing)}
+    if results.timing.failed is not None:
+        summary["failed"] = results.timing.failed.model_dump()
     if results.poles is not None:
         summary["poles"] = {
             test: poles.model_dump()

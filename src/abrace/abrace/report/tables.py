@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, get_args
 
+from abrace.report.happenings import happenings_table
 from abrace.report.results import (
     AmbientMode,
     AmbientResult,
@@ -55,7 +56,7 @@ def tables(results: Results, units: Units) -> list[Table]:
     return [
         *identification_tables(results),
         *comparison_tables(results, units),
-        *clipped_tables(results),
+        *trouble_tables(results),
         timing_table(results.timing),
     ]
 
@@ -102,10 +103,11 @@ def tables_of_all(results: Results, units: Units) -> list[Table]:
     return found
 
 
-def clipped_tables(results: Results) -> list[Table]:
-    """Which tests of the `results` have readings at the end of a sensor's range, if any."""
-    clipped = _clipped_rows(results.comparisons)
-    return [Table("At the end of a sensor's range", ("test", ""), clipped)] if clipped else []
+def trouble_tables(results: Results) -> list[Table]:
+    """Which tests of the `results` have readings at the end of a sensor's range, and what else happened, if any."""
+    clipped, happened = _clipped_rows(results.comparisons), happenings_table(results.timing)
+    found = [Table("At the end of a sensor's range", ("test", ""), clipped)] if clipped else []
+    return [*found, happened] if happened else found
 
 
 def margin_table(proofs: Mapping[str, ProofResult]) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -222,7 +223,7 @@ def design_to_file(
         weights_name=weights_name,
         sample_period=sample_period,
         force_limit=force_limit,
-        origin=model_files[0],
+        origin=os.path.relpath(model_files[0], Path(output).parent),
         excitation=excitation,
         limits=limits,
         accept=accept,

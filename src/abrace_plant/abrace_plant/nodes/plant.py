@@ -56,6 +56,11 @@ class Plant(RigNode):
         sensor_faults(self.parameters.sensor_faults, rig)
         return rig
 
+    def configure(self) -> None:
+        """Load the rig and create the topics; what steps the rig is compiled, or loaded, as well."""
+        super().configure()
+        self.make_device()
+
     def make_device(self) -> SimulatedRig:
         """The rig at rest, with its sensor faults."""
         self.simulated = SimulatedRig(self.rig, self.parameters.seed, not self.lockstep)
@@ -117,7 +122,7 @@ class Plant(RigNode):
             if self.loop.sequence == self.last:
                 self.due = None
                 elapsed = time.monotonic() - self.began
-                self.finish(0, f"done: {self.loop.sequence + 1} samples in {elapsed:.2f} s")
+                self.finish_run(f"{self.loop.sequence + 1} samples in {elapsed:.2f} s")
             else:
                 self.step()
 

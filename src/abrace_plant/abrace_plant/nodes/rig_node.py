@@ -32,6 +32,7 @@ from abrace_interfaces.msg import BraceCommand, Response
 from abrace_plant.live.loop import COMMAND, GROUND, RigLoop, rig_outputs
 from abrace_plant.live.real_time import RealTimeRun
 from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.interlocks import Interlocks
 from abrace_plant.rig.robot_description import joint_names, urdf
 
 if TYPE_CHECKING:
@@ -43,6 +44,9 @@ if TYPE_CHECKING:
 
 STOP_PERIOD = 0.01
 """Seconds between looks for stop buttons."""
+
+PEAKS = ("drift", "displacement", "acceleration", "force", "table_displacement")
+"""Interlocks whose greatest values so far stand in the diagnostics, in SI units."""
 
 RIG_PARAMETERS = [
     Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
@@ -99,6 +103,7 @@ class RigNode(AbraceLifecycleNode):
             GROUND: self.subscribe_to(AccelStamped, GROUND, self.on_ground_motion, STREAM_QOS, raw=True),
         }
         self.responses, self.commands = Responses(), BraceCommands()
+        Interlocks(self.rig)  # what is compiled is loaded now, for half a second, and not when the rig is activated
         self.joints = JointState(name=list(joint_names(self.rig)))
 
     def activate(self) -> None:
@@ -165,10 +170,15 @@ class RigNode(AbraceLifecycleNode):
         if run.error is not None:
             self.later(lambda: self.finish(1, f"{type(run.error).__name__}: {run.error}"))
         elif self.done:
-            self.later(
-                lambda: self.finish(0, f"done: {loop.sequence + 1} samples, {loop.missed_deadlines} late answers")
-            )
+            self.later(lambda: self.finish_run(f"{loop.sequence + 1} samples, {loop.missed_deadlines} late answers"))
         self.tell_rest()
+
+    def finish_run(self, counts: str) -> None:
+        """End after the last sample, with what was counted; while a fault is latched with code 1."""
+        if self.safety.cause:
+            self.finish(1, f"ended with a fault: {self.safety.cause}; {counts}")
+        else:
+            self.finish(0, f"done: {counts}")
 
     def publish_sample(self, sample: Sample) -> None:
         """Publish a sample, report a fault that is new, and end the run after its last one."""
@@ -267,10 +277,10 @@ class RigNode(AbraceLifecycleNode):
         if self.loop is not None:
             values |= {"sequence": self.loop.sequence, **self.loop.counters()}
             values |= {f"clipped {name}": count for name, count in self.loop.clipped.items() if count}
-            values |= {
-                f"interlock {name}": f"{100 * share:.0f} % of its limit"
-                for name, share in self.loop.interlocks.utilisation().items()
-            }
+            utilisation = self.loop.interlocks.utilisation()
+            values |= {f"interlock {name}": f"{100 * share:.0f} % of its limit" for name, share in utilisation.items()}
+            limits = {name: self.rig.interlocks[name].value for name in PEAKS if name in utilisation}
+            values |= {f"peak {name}": f"{utilisation[name] * limit:.4g}" for name, limit in limits.items()}
             if warnings := self.loop.interlocks.warnings:
                 values["warning"] = "; ".join(map(str, warnings))
         return fault, self.safety.state.words if self.active else "not active", values

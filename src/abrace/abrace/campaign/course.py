@@ -1,0 +1,194 @@
+"""The course of a campaign: checked first, then step after step that is not whole yet, the report, and the swap.
+
+Bags go to `bags/NAME/TIME/STEP`, never over an earlier one; results grow in `results/_unfinished/NAME` and take the
+place of `results/NAME` when they are whole.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from abrace.campaign.done import DoneSteps, copy_results
+from abrace.campaign.folders import Folders
+from abrace.campaign.inputs import Inputs
+from abrace.campaign.origin import write_origin
+from abrace.campaign.plan import check_campaign
+from abrace.campaign.runner import Runner
+from abrace.campaign.tasks import RigTest
+from abrace.report.happenings import doubts
+from abrace.report.results import read_results
+from abrace.report.writer import make_report
+from abrace_core.errors import AbraceError, RunFailed
+from abrace_core.files import make_folder, write_text
+from abrace_core.progress import Progress
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from abrace.campaign.display import Display, DisplayedStep
+    from abrace.campaign.file import Step
+    from abrace.campaign.laboratory import Laboratory
+    from abrace.nodes.graph_monitor import GraphMonitor
+    from abrace_core.progress import Step as ShownStep
+
+
+class Outcome(NamedTuple):
+    """What a campaign has come to: the folder of its results, its tables, and why tests are not to be trusted."""
+
+    results: Path
+    tables: str
+    doubts: list[str]
+
+
+class _Course:
+    """A campaign from its first step that is not whole to its last; `start`: as for `run_campaign`."""
+
+    def __init__(self, runner: Runner, folders: Folders, start: str | None) -> None:
+        self._runner, self._folders = runner, folders
+        self._campaign = runner.campaign
+        self._names = [step.name for step in self._campaign.steps]
+        self._inputs = Inputs(runner.campaign, runner.laboratories)
+        make_folder(folders.unfinished)
+        self._done = DoneSteps(folders.unfinished, self._names)
+        if start is None:
+            self._done.keep(self._names)
+        else:
+            self._begin_from(start)
+
+    def _begin_from(self, start: str) -> None:
+        """Take what is before the step `start` from the run that was interrupted, or from the last results."""
+        if start not in self._names:
+            raise AbraceError(f"--from {start}: no such step, expected {' or '.join(self._names)}")
+        earlier = self._names[: self._names.index(start)]
+        results, unfinished = self._folders.results, self._folders.unfinished
+        last = DoneSteps(results, self._names)
+        missing = {folder: self._missing(done, earlier) for folder, done in ((unfinished, self._done), (results, last))}
+        if missing[unfinished] and not missing[results]:
+            copy_results(results, unfinished)
+            self._done = DoneSteps(unfinished, self._names)
+        elif missing[unfinished]:
+            why = missing[results if last.steps else unfinished]
+            raise AbraceError(f"--from {start}: {why}, expected every step before it to be whole: begin with that one")
+        self._done.keep(earlier)
+
+    def _missing(self, done: DoneSteps, names: list[str]) -> str:
+        """Which of the first steps, with these `names`, is not whole, and why; empty: all are."""
+        for number, name in enumerate(names):
+            if changed := done.changed(name, self._inputs_of(number, done)):
+                return f"step {name}: {changed}"
+        return ""
+
+    def _inputs_of(self, number: int, done: DoneSteps) -> dict[str, str]:
+        return self._inputs.of(number, {name: one.made for name, one in done.steps.items()})
+
+    def run(self) -> Outcome:
+        """Run every step that is not whole, report, and swap the results in."""
+        self._runner.done = self._done
+        write_origin(self._folders.unfinished, self._campaign.path)
+        with self._display() as progress:
+            self._run_steps(progress)
+        self._write_timing()
+        tables = make_report(self._folders.unfinished)
+        self._folders.settle_report()
+        doubtful = doubts(read_results(self._folders.unfinished).timing)
+        self._folders.swap_in()
+        return Outcome(self._folders.results, tables, doubtful)
+
+    @contextlib.contextmanager
+    def _display(self) -> Iterator[Progress | Display]:
+        """What shows how far the campaign is: live on a terminal, plain lines elsewhere."""
+        if not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
+            yield Progress(len(self._names))
+            return
+        from abrace.campaign.display import Display, Graph, peaks_of
+
+        with Display(self._campaign.name, len(self._names)) as display:
+
+            def seen(monitor: GraphMonitor, lab: Laboratory) -> None:
+                peaks = peaks_of(monitor.values.get("plant", {}))
+                display.see(Graph(dict(monitor.reports), peaks, float(min(lab.rig.capacity, default=math.inf))))
+
+            self._runner.seen = seen
+            yield display
+
+    def _run_steps(self, progress: Progress | Display) -> None:
+        for number, step in enumerate(self._campaign.steps):
+            inputs = self._inputs_of(number, self._done)
+            changed = self._done.changed(step.name, inputs)
+            if not changed:
+                progress.kept(step.name)
+                continue
+            if step.name in self._done.steps:
+                print(f"{step.name}: {changed}, it is run again", file=sys.stderr, flush=True)
+                self._done.forget(step.name)
+            try:
+                with progress.step(step.name) as shown:
+                    self._run_step(number, step, inputs, shown)
+            except BaseException as error:
+                self._leave(step.name, error)
+                raise
+
+    def _run_step(self, number: int, step: Step, inputs: dict[str, str], shown: ShownStep | DisplayedStep) -> None:
+        self._done.begin()
+        begin = time.monotonic()
+        more = self._runner.run_step(number, step.name, step.task, shown)
+        timing = {"name": step.name, "wall_seconds": time.monotonic() - begin, **more}
+        self._folders.settle(step.name)
+        bag = Path(self._runner.bag_of(step.name)) if isinstance(step.task, RigTest) else None
+        self._done.end(step.name, inputs, bag, timing)
+        self._write_timing()
+
+    def _write_timing(self, failed: dict[str, str] | None = None) -> None:
+        """Write timing.json: what is done, and which step failed and why, where one did."""
+        timing: dict[str, Any] = {
+            "lockstep": self._campaign.lockstep,
+            "sample_rate": self._runner.laboratories.of().rig.sample_rate,
+            "steps": [self._done.steps[name].timing for name in self._names if name in self._done.steps],
+        }
+        if failed is not None:
+            timing["failed"] = failed
+        write_text(self._folders.unfinished / "timing.json", json.dumps(timing, indent=1))
+
+    def _leave(self, step: str, error: BaseException) -> None:
+        """Tell where the results are of a campaign that this step ends; report what there is of one that failed."""
+        if isinstance(error, RunFailed):
+            with contextlib.suppress(AbraceError):  # the one that is told is the first
+                self._write_timing({"step": step, "cause": str(error)})
+                make_report(self._folders.unfinished)
+        count = f"{len(self._done.steps)} of {len(self._names)} steps are whole"
+        where = f"in {self._folders.unfinished}; the same command goes on with {step}"
+        print(f"abrace: {count}, {where}", file=sys.stderr, flush=True)
+
+
+def run_campaign(path: Path, start: str | None = None) -> Outcome:
+    """Run the steps of a campaign file that are not whole after an interruption, report, and swap the results in.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    start
+        Name of a step: it and those after it are run anew.
+
+    Raises
+    ------
+    AbraceError
+        If the file is wrong, a ground motion is more than the table has, or a step before `start` is not whole.
+    RunFailed
+        If a node dies or refuses, a fault comes, or a step fails.
+    """
+    plan = check_campaign(path)
+    for care in plan.cares:
+        print(f"abrace: care: {care}", file=sys.stderr)
+    campaign, laboratories = plan.checked.campaign, plan.checked.laboratories
+    folders = Folders(campaign.name)
+    with folders.locked() as lock:
+        runner = Runner(campaign, laboratories, folders.unfinished, folders.new_bags(), lock)
+        return _Course(runner, folders, start).run()

@@ -1,0 +1,218 @@
+"""The live display of a campaign on a terminal: the step, time left, peaks, force against capacity, state of each node.
+
+Where there is no terminal `abrace_core.progress` writes plain lines; both have the same methods.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import TYPE_CHECKING, NamedTuple
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from abrace.report.node_table import STALE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from typing import Self
+
+    from rich.console import RenderableType
+
+    from abrace.report.node_table import NodeReport
+
+REFRESH = 4.0
+"""Drawings a second."""
+PEAKS = {
+    "drift": ("drift", 100.0, "cm"),
+    "displacement": ("displacement", 100.0, "cm"),
+    "acceleration": ("acceleration", 1.0, "m/s^2"),
+    "table_displacement": ("table", 100.0, "cm"),
+}
+"""By entry of the rig's diagnostics: what it is called here, the factor from SI units, the unit."""
+
+
+class Graph(NamedTuple):
+    """What the nodes of a test have reported.
+
+    Parameters
+    ----------
+    reports
+        By node.
+    peaks
+        Greatest values so far by quantity, in SI units.
+    capacity
+        Of the braces [N].
+    """
+
+    reports: Mapping[str, NodeReport]
+    peaks: Mapping[str, float]
+    capacity: float
+
+
+def peaks_of(values: Mapping[str, str]) -> dict[str, float]:
+    """The greatest values so far, by quantity, from the `values` of the rig's diagnostics."""
+    return {key.removeprefix("peak "): float(value) for key, value in values.items() if key.startswith("peak ")}
+
+
+class Display:
+    """Shows how far a campaign is, redrawn in place; a context manager.
+
+    Parameters
+    ----------
+    name
+        Of the campaign.
+    steps
+        Number of its steps.
+    console
+        The terminal; standard error by default.
+    clock
+        Gives seconds.
+    """
+
+    def __init__(
+        self, name: str, steps: int, console: Console | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._name, self._steps, self._clock = name, steps, clock
+        self._console = console or Console(stderr=True)
+        self._number = 0
+        self._step: DisplayedStep | None = None
+        self._live = Live(
+            get_renderable=self.drawing, console=self._console, refresh_per_second=REFRESH, transient=True
+        )
+
+    def __enter__(self) -> Self:
+        self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def kept(self, name: str) -> None:
+        """Say that a step called `name` was done before, and is whole."""
+        self._number += 1
+        self._print(f"[{self._number}/{self._steps}] {name}: whole, kept")
+
+    @contextlib.contextmanager
+    def step(self, name: str) -> Iterator[DisplayedStep]:
+        """Show a step called `name` while the block runs, and at its end whether it was done, stopped or failed."""
+        self._number += 1
+        step = self._step = DisplayedStep(f"[{self._number}/{self._steps}] {name}", self._clock)
+        outcome = "stopped after"
+        try:
+            yield step
+            outcome = "done in"
+        except Exception:
+            outcome = "failed after"
+            raise
+        finally:
+            self._step = None
+            self._print(f"{step.title}: {outcome} {clock_time(step.elapsed)}{step.rate and f', {step.rate}'}")
+
+    def see(self, graph: Graph) -> None:
+        """Show what the nodes of the test have reported, the `graph`; may be called at any rate."""
+        if self._step is not None:
+            self._step.graph = graph
+
+    def drawing(self) -> RenderableType:
+        """What is on the terminal now."""
+        step = self._step
+        return Text(self._name) if step is None else Group(*step.lines(self._name))
+
+    def _print(self, line: str) -> None:
+        self._console.print(line, markup=False, highlight=False)
+
+
+class DisplayedStep:
+    """The step that is running; `Display.step` makes it.
+
+    Parameters
+    ----------
+    title
+        Its number and name.
+    clock
+        Gives seconds.
+    """
+
+    def __init__(self, title: str, clock: Callable[[], float]) -> None:
+        self.title, self.rate = title, ""
+        self.graph: Graph | None = None
+        self._clock = clock
+        self._start = clock()
+        self._first: tuple[float, float] | None = None
+        self._last = (self._start, 0.0)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the step began."""
+        return self._clock() - self._start
+
+    def update(self, fraction: float | None, rate: str = "") -> None:
+        """Report progress, at any rate: `fraction` and `rate` as in `abrace_core.progress`."""
+        self.rate = rate or self.rate
+        if fraction is not None:
+            self._last = (self._clock(), min(max(fraction, 0.0), 1.0))
+            self._first = self._first or self._last
+
+    def lines(self, name: str) -> list[RenderableType]:
+        """What is drawn of it, of the campaign `name`."""
+        head = Table.grid(padding=(0, 2))
+        fraction = self._last[1]
+        cells: list[RenderableType] = [Text(name, style="bold"), Text(self.title)]
+        if self._first is not None:
+            cells += [ProgressBar(total=1.0, completed=fraction, width=24), Text(f"{fraction:.0%}")]
+        cells.append(Text(f"{clock_time(self.elapsed)}{self._left()}{self.rate and f', {self.rate}'}"))
+        head.add_row(*cells)
+        drawn: list[RenderableType] = [head]
+        if self.graph is not None:
+            drawn += [*_peak_lines(self.graph), _node_table(self.graph.reports, self._clock())]
+        return drawn
+
+    def _left(self) -> str:
+        if self._first is None or self._last[1] <= self._first[1]:
+            return ""
+        (began, before), (now, fraction) = self._first, self._last
+        left = (now - began) / (fraction - before) * (1 - fraction) - (self._clock() - now)
+        return f", {clock_time(max(left, 0.0))} left"
+
+
+def clock_time(seconds: float) -> str:
+    """Minutes and seconds.
+
+    >>> clock_time(83.2)
+    '1:23'
+    """
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
+
+
+def _peak_lines(graph: Graph) -> list[RenderableType]:
+    found = [
+        f"{called} {graph.peaks[key] * factor:.3g} {unit}"
+        for key, (called, factor, unit) in PEAKS.items()
+        if key in graph.peaks
+    ]
+    lines: list[RenderableType] = [Text(f"peaks: {', '.join(found)}")] if found else []
+    if "force" in graph.peaks:
+        force, share = graph.peaks["force"], graph.peaks["force"] / graph.capacity
+        style = "bold red" if share >= 1 else "yellow" if share > 0.8 else ""
+        lines.append(
+            Text(f"force: {force / 1000:.3g} of {graph.capacity / 1000:.3g} kN, {share:.0%} of capacity", style=style)
+        )
+    return lines
+
+
+def _node_table(reports: Mapping[str, NodeReport], now: float) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for header, justify in (("node", "left"), ("samples/s", "right"), ("lost", "right"), ("state", "left")):
+        table.add_column(header, justify=justify)  # type: ignore[arg-type]
+    for name, report in sorted(reports.items()):
+        silent = now - report.heard
+        state = f"silent for {silent:.0f} s; was: {report.message}" if silent > STALE else report.message
+        style = "bold red" if report.failed else "yellow" if silent > STALE or report.lost else ""
+        rate = "-" if report.rate is None else f"{report.rate:.0f}"
+        table.add_row(name, rate, "-" if report.lost is None else str(report.lost), Text(state), style=style)
+    return table

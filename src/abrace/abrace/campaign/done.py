@@ -1,0 +1,172 @@
+"""Which steps of a campaign are whole: steps.json, with the checksums of what each was made from and of what it wrote.
+
+A step is whole while its inputs are as they were (its text, the versions, the rig file, the files and earlier steps
+that it names) and its outputs are, too. steps.json is written anew after each step.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import pydantic
+
+from abrace_core.config_file import Checked
+from abrace_core.errors import AbraceError
+from abrace_core.files import write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+FILE = "steps.json"
+NOT_OF_A_STEP = (FILE, "timing.json", "origin.json")
+"""Files of the whole campaign."""
+Checksums = dict[str, Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$")]]
+
+
+def file_checksum(path: Path) -> str:
+    """SHA-256 of a file, or of all files of a folder with their names."""
+    if path.is_dir():
+        return checksum({str(file.relative_to(path)): file_checksum(file) for file in files_of(path)})
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def checksum(content: object) -> str:
+    """SHA-256 of a `content` that JSON can say."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def files_of(folder: Path) -> list[Path]:
+    """All files below a folder, sorted."""
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+class DoneStep(Checked):
+    """A step that was done: by name the checksums of its inputs, by path in the results those of its outputs.
+
+    made: checksum of all that it made; bag: the folder of a test's bag, with its checksum; timing: its entry of
+    timing.json.
+    """
+
+    name: str
+    inputs: Checksums
+    outputs: Checksums
+    made: str
+    bag: str | None = None
+    bag_checksum: str = ""
+    timing: dict[str, Any]
+
+
+class _File(Checked):
+    steps: tuple[DoneStep, ...]
+
+
+class DoneSteps:
+    """The steps that were done, of which the results are in a folder.
+
+    Parameters
+    ----------
+    folder
+        Of the results.
+    names
+        Of the campaign's steps, in order; others that were done once are forgotten.
+
+    Attributes
+    ----------
+    steps
+        Those that were done, by name.
+    """
+
+    def __init__(self, folder: Path, names: Sequence[str]) -> None:
+        self.folder = folder
+        self._order = {name: number for number, name in enumerate(names)}
+        self._before: dict[Path, tuple[int, ...]] = {}
+        self.steps: dict[str, DoneStep] = {}
+        try:
+            text = (folder / FILE).read_text(encoding="utf-8")
+            found = _File.model_validate_json(text).steps
+        except FileNotFoundError:
+            return  # nothing was done
+        except (OSError, ValueError) as error:
+            raise AbraceError(f"{folder / FILE}: cannot be read, remove {folder} to begin anew") from error
+        self.steps = {step.name: step for step in found if step.name in self._order}
+
+    def changed(self, name: str, inputs: Mapping[str, str]) -> str:
+        """What keeps a step `name` with these `inputs` from being whole; empty: it is."""
+        done = self.steps.get(name)
+        if done is None:
+            return "it was not done"
+        for what in {**inputs, **done.inputs}:
+            if inputs.get(what) != done.inputs.get(what):
+                return f"{what} has changed"
+        for output, expected in done.outputs.items():
+            path = self.folder / output
+            if not path.is_file() or file_checksum(path) != expected:
+                return f"{path} is not as it wrote it"
+        if done.bag is not None and (not Path(done.bag).is_dir() or file_checksum(Path(done.bag)) != done.bag_checksum):
+            return f"{done.bag} is not as it was recorded"
+        return ""
+
+    def keep(self, names: Iterable[str]) -> None:
+        """Forget all steps but those with these `names`, and remove what others wrote into the folder."""
+        self.steps = {name: self.steps[name] for name in names if name in self.steps}
+        outputs = {self.folder / output for step in self.steps.values() for output in step.outputs}
+        for path in files_of(self.folder):
+            if path not in outputs:
+                path.unlink()
+        self._write()
+
+    def forget(self, name: str) -> None:
+        """Forget the step `name`, and remove what it wrote into the folder."""
+        if name in self.steps:
+            for output in self.steps.pop(name).outputs:
+                (self.folder / output).unlink(missing_ok=True)
+            self._write()
+
+    def begin(self) -> None:
+        """Note which files there are, before a step."""
+        self._before = self._stamps()
+
+    def end(self, name: str, inputs: Mapping[str, str], bag: Path | None, timing: Mapping[str, Any]) -> None:
+        """Note that a step `name` has been done since `begin`: its outputs are the files that are new, or another.
+
+        `inputs`: their checksums by name; `bag`: of a test; `timing`: its entry of timing.json.
+        """
+        written = [path for path, stamp in self._stamps().items() if self._before.get(path) != stamp]
+        outputs = {path.relative_to(self.folder).as_posix(): file_checksum(path) for path in written}
+        recorded = file_checksum(bag) if bag else ""
+        for other in [one for one in self.steps.values() if outputs.keys() & one.outputs.keys()]:
+            for output in outputs:
+                other.outputs.pop(output, None)
+            if self._order[other.name] > self._order[name]:
+                self.forget(other.name)  # its turn to write comes again
+        self.steps[name] = DoneStep(
+            name=name,
+            inputs=dict(inputs),
+            outputs=outputs,
+            made=checksum([outputs, recorded]),
+            bag=str(bag) if bag else None,
+            bag_checksum=recorded,
+            timing=dict(timing),
+        )
+        self._write()
+
+    def _stamps(self) -> dict[Path, tuple[int, ...]]:
+        paths = [path for path in files_of(self.folder) if path.parent != self.folder or path.name not in NOT_OF_A_STEP]
+        return {path: (stat.st_ino, stat.st_size, stat.st_mtime_ns) for path in paths for stat in [path.stat()]}
+
+    def _write(self) -> None:
+        content = _File(steps=tuple(sorted(self.steps.values(), key=lambda step: self._order[step.name])))
+        write_text(self.folder / FILE, content.model_dump_json(indent=1) + "\n")
+
+
+def copy_results(source: Path, target: Path) -> None:
+    """Copy the folder `source` of results to `target`, steps.json last: a copy that is broken off has no steps."""
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(source, target, ignore=shutil.ignore_patterns(FILE))
+    if (source / FILE).is_file():
+        write_text(target / FILE, (source / FILE).read_text(encoding="utf-8"))

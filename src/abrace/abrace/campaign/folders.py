@@ -1,0 +1,108 @@
+"""Where a campaign's results and bags are: results/NAME is whole at any time, the next grow in results/_unfinished."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+import sys
+import time
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from abrace_core.errors import AbraceError
+from abrace_core.files import make_folder, move, write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+RESULTS = Path("results")
+BAGS = Path("bags")
+PATIENCE = 30.0
+"""Seconds in which the nodes of a campaign that was killed have to end."""
+
+
+class Folders:
+    """The folders of the campaign `name`, below the working directory."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.results = RESULTS / name
+        """Of the last campaign that was whole."""
+        self.unfinished = RESULTS / "_unfinished" / name
+        """Of the one that is run, or was interrupted; no campaign has a name that begins with _."""
+        self._replaced = RESULTS / f".{name}.replaced"
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[int]:
+        """Keep every other run of the campaign out; gives the lock, an open file whose heirs hold it, too.
+
+        Raises
+        ------
+        AbraceError
+            If the campaign runs already.
+        """
+        make_folder(RESULTS)
+        lock = os.open(RESULTS / f".{self.name}.lock", os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            self._take(lock)
+            if not self.results.exists() and self._replaced.exists():
+                move(self._replaced, self.results)  # killed in `swap_in`
+            yield lock
+        finally:
+            os.close(lock)
+
+    def _take(self, lock: int) -> None:
+        deadline = time.monotonic() + PATIENCE
+        waiting = False
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if time.monotonic() > deadline:
+                    raise AbraceError(
+                        f"campaign {self.name}: is being run here by another process, expected one at a time"
+                    ) from None
+                if not waiting:
+                    print(f"abrace: waiting until the last run of {self.name} has ended", file=sys.stderr, flush=True)
+                    waiting = True
+                time.sleep(0.05)
+            else:
+                return
+
+    def new_bags(self) -> Path:
+        """A folder for the bags of this run, which does not exist yet."""
+        now = datetime.now().strftime("%Y%m%d-%H%M%S")
+        folder, number = BAGS / self.name / now, 1
+        while folder.exists():
+            number += 1
+            folder = BAGS / self.name / f"{now}-{number}"
+        return folder
+
+    def settle(self, step: str) -> None:
+        """Have the parameters of a `step`'s nodes name files where they will be, to be given to the nodes again."""
+        for path in (self.unfinished / "nodes").glob(f"{step}_*.yaml"):
+            self._settle(path)
+
+    def settle_report(self) -> None:
+        """Have the report name files where they will be, as `settle`."""
+        for name in ("report.md", "report.html"):
+            self._settle(self.unfinished / name)
+
+    def _settle(self, path: Path) -> None:
+        text = path.read_text(encoding="utf-8")
+        settled = text.replace(f"{self.unfinished}/", f"{self.results}/")
+        if settled != text:
+            write_text(path, settled)
+
+    def swap_in(self) -> None:
+        """Have what was unfinished take the place of the last results."""
+        shutil.rmtree(self._replaced, ignore_errors=True)
+        if self.results.exists():
+            move(self.results, self._replaced)
+        move(self.unfinished, self.results)
+        shutil.rmtree(self._replaced, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            self.unfinished.parent.rmdir()

@@ -1,0 +1,57 @@
+"""What happened in the tests of a campaign, in words: what makes one untrustworthy, and what is only to be known."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from abrace.report.table import Table
+from abrace_core.response import clipped_sentences
+
+if TYPE_CHECKING:
+    from abrace.report.results import StepTiming, Timing
+
+DOUBTS = {
+    "lost_samples": "not in the bag",
+    "table_limited": "with a ground motion cut to what the table can do",
+    "stop_pressed": "with a stop pressed",
+}
+"""Counts of samples because of which a test is not what was asked for."""
+REMARKS = {
+    "saturated": "with a command cut to the capacity",
+    "rate_limited": "with a force held back by the rate limit",
+    "late": "taken late",
+    "missed_deadlines": "answered too late to act from the next one on",
+}
+"""Counts of samples that were as recorded, and may have been meant so."""
+
+
+def _sentences(step: StepTiming, counted: dict[str, str]) -> list[str]:
+    counts = [(getattr(step, key) or 0, what) for key, what in counted.items()]
+    return [f"{count} sample{'s' if count > 1 else ''} {what}" for count, what in counts if count]
+
+
+def _doubts_of(step: StepTiming) -> list[str]:
+    return [*clipped_sentences(step.clipped), *_sentences(step, DOUBTS)]
+
+
+def doubts(timing: Timing) -> list[str]:
+    """Why tests are not to be trusted, from the campaign's `timing`; empty: all are."""
+    return [f"{step.name}: {sentence}" for step in timing.steps for sentence in _doubts_of(step)]
+
+
+def happenings(timing: Timing) -> dict[str, dict[str, Any]]:
+    """By test, what happened in it beside what was asked for, counted in samples, from the campaign's `timing`."""
+    names = {"clipped", *DOUBTS, *REMARKS}
+    counts = {step.name: step.model_dump(include=names) for step in timing.steps}
+    return {name: found for name, all_ in counts.items() if (found := {key: n for key, n in all_.items() if n})}
+
+
+def happenings_table(timing: Timing) -> Table | None:
+    """What happened in the tests beside what was asked for, from the campaign's `timing`; None: nothing."""
+    rows: list[tuple[str, str, str]] = []
+    for step in timing.steps:
+        rows += [(step.name, sentence, "no") for sentence in _doubts_of(step)]
+        rows += [(step.name, sentence, "yes") for sentence in _sentences(step, REMARKS)]
+    if timing.failed is not None:
+        rows.append((timing.failed.step, f"failed: {timing.failed.cause}", "no"))
+    return Table("What happened in the tests", ("test", "", "to be trusted"), tuple(rows)) if rows else None
