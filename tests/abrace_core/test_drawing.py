@@ -1,7 +1,7 @@
 import pytest
 from matplotlib.figure import Figure
 
-from abrace_core.drawing import legend_above, save_figure
+from abrace_core.drawing import legend_above, save_figure, save_image
 from abrace_core.errors import AbraceError
 
 
@@ -29,3 +29,11 @@ def test_a_legend_above_covers_no_axis():
     (legend,) = figure.legends
     assert legend.get_window_extent().y1 <= figure.bbox.y1
     assert legend.get_window_extent().y0 >= max(axis.get_tightbbox().y1 for axis in axes.flat)
+
+
+def test_a_figure_is_the_same_file_each_time(tmp_path):
+    for name in ("first.svg", "second.svg"):
+        figure = Figure()
+        figure.subplots().plot([1, 2, 3])
+        save_image(figure, tmp_path / name)
+    assert (tmp_path / "first.svg").read_bytes() == (tmp_path / "second.svg").read_bytes()

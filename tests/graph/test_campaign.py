@@ -143,7 +143,8 @@ def test_a_law_and_a_rig_of_ones_own_run_in_a_campaign_and_the_law_is_in_its_tab
     )
     process = start(tmp_path, environment, "campaign", str(path))
     output, errors = process.communicate(timeout=120)
-    assert process.returncode == 0, errors
+    # by the clock of a machine that stood still samples are missing, which is said
+    assert process.returncode == ("not to be trusted: watched: " in errors), errors
     assert "Without and with sky: white_noise" in output
     (bags,) = (tmp_path / "bags/short").iterdir()
     assert abs(read_run(bags / "damped").command).max() == 50.0

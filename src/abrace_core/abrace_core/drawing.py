@@ -100,5 +100,8 @@ def save_image(figure: Figure, path: Path | str) -> None:
     if suffix not in IMAGES:
         raise AbraceError(f"figure {path}: expected a name that ends in {' or '.join(IMAGES)}")
     facts = {"Description": str(figure.get_label()), **({"Date": None} if suffix == ".svg" else {})}
-    with write_atomically(path) as temporary:
+    from matplotlib import rc_context
+
+    # without a date and a salt of its own an SVG file is the same each time
+    with write_atomically(path) as temporary, rc_context({"svg.hashsalt": "abrace"}):
         figure.savefig(temporary, format=suffix[1:], dpi=RESOLUTION, metadata=facts)
