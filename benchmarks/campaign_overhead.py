@@ -1,7 +1,7 @@
 """What a test of a campaign costs beside its samples: 100 short tests in lockstep, and bare starts of as many nodes.
 
 overhead_seconds  from the last sample of a test to the first one of the next, on average
-cpu_seconds       of processors, for a test: of all its processes, its samples included
+cpu_seconds       of processors, for a test: of all its processes, its samples and its share of the report included
 lost_tests        that are not whole, or of which a sample is not in the bag
 bare_seconds, bare_cpu_seconds  of three processes at once that import rclpy, make a node and end
 ratio_to_bare, cpu_ratio_to_bare
