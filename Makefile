@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -eo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup same-ros tools demo lint test test-libraries test-sourced verify bench soak clean
+.PHONY: help setup same-ros tools demo docs lint test test-libraries test-sourced verify bench soak clean
 
 ENVIRONMENT := source ros2_ws/setup.bash
 TEST_LIBRARIES := python -m pytest --numprocesses auto --dist loadscope --ignore tests/graph
@@ -31,6 +31,9 @@ same-ros:
 .venv/.develop: .venv/.installed requirements/develop.txt requirements/numpy2.txt
 	@requirements/install.sh tests
 
+.venv/.docs: .venv/.develop requirements/docs.txt
+	@requirements/install.sh docs
+
 ros2_ws/install/.built: .venv/.installed $(BUILT_FROM) | same-ros
 	@source .venv/bin/activate
 	if [ -d .venv/share/ament_index ]; then
@@ -46,6 +49,10 @@ ros2_ws/install/.built: .venv/.installed $(BUILT_FROM) | same-ros
 demo: setup  ## the paper, live: tests, model, controller, earthquake, table (results/demo)
 	@$(ENVIRONMENT)
 	abrace demo
+
+docs: tools .venv/.docs  ## the documentation as a site: docs/site/index.html
+	@$(ENVIRONMENT)
+	python -m sphinx --quiet --fail-on-warning --keep-going -j auto -b dirhtml docs docs/site
 
 lint: tools  ## ruff and mypy (its types are those of NumPy 2: not where ROS 2 is sourced)
 	@$(ENVIRONMENT)

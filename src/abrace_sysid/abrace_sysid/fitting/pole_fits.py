@@ -1,10 +1,10 @@
-"""Poles of the table test, of the command test and of both, by a method chosen by name.
+"""Poles of the table test, of the command test and of both, by a method chosen by name:
 
-maximum_likelihood  every channel, leakage, the servos' real poles and delays in the model, with confidence intervals;
-                    the orders from data, by description length
-vector_fitting      common poles of all channels of the transfer functions
-sk                  Sanathanan-Koerner iterations on the top floor's acceleration, weighted by its uncertainty
-paper               Eqs. (1) and (2) on the top floor's acceleration, unweighted, the sign in Eq. (1) corrected
+- maximum_likelihood: every channel, leakage, the servos' real poles and delays in the model, with confidence intervals;
+  the orders from data, by description length
+- vector_fitting: common poles of all channels of the transfer functions
+- sk: Sanathanan-Koerner iterations on the top floor's acceleration, weighted by its uncertainty
+- paper: Eqs. (1) and (2) on the top floor's acceleration, unweighted, the sign in Eq. (1) corrected
 
 The last two fit a ratio of polynomials of s. Hold and servo's lag are not such ratios and are divided out before.
 """
