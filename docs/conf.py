@@ -1,6 +1,12 @@
 """Sphinx: the pages of this folder, and the reference of the Python packages made from their docstrings."""
 
+from __future__ import annotations
+
 from importlib.metadata import version as installed_version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 project = "abrace"
 author = "the abrace developers"
@@ -29,10 +35,11 @@ html_title = f"abrace {release}"
 suppress_warnings = ["ref.python"]  # names that several modules have
 
 
-def _as_written(app, what, name, given, options, lines):  # noqa: ANN001, ANN202, ARG001 - as autodoc calls it
+def _as_written(app: Sphinx, what: str, name: str, given: Any, options: Any, lines: list[str]) -> None:  # noqa: ARG001
     """Bars and stars of a docstring are those of formulas, not reStructuredText's."""
     lines[:] = [line.replace("|", r"\|").replace("**", r"\*\*") for line in lines]
 
 
-def setup(app):  # noqa: ANN001, ANN201
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
     app.connect("autodoc-process-docstring", _as_written)
