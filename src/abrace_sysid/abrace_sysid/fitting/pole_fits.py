@@ -1,4 +1,4 @@
-"""Poles of the table test, of the command test and of both, by a method chosen by name:
+"""Poles of the table test, of the command test and of both, by a method chosen by name.
 
 - maximum_likelihood: every channel, leakage, the servos' real poles and delays in the model, with confidence intervals;
   the orders from data, by description length
