@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
     from abrace_sysid.validity.finding import Validity
 
-SEEDS, FIRST_SEED = 20, 2000
+SEEDS, FIRST_SEED = 20, 2100
 """The first is far from those that the limits were set on."""
 
 SECONDS = 120.0
