@@ -77,7 +77,7 @@ def test_a_law_that_breaks_is_a_latched_fault_that_says_where(graph, start_law, 
     graph.until_matched("plant", response=2, brace_command=1)
     graph.may_end.add("plant")
     assert graph.change_state("plant", "activate")
-    assert graph.ended("plant") == 0
+    assert graph.ended("plant") == 1, "its run ends with a fault"
     graph.until_fault("my_law", "MyLaw.force: ZeroDivisionError: division by zero")
     graph.until(lambda: len(responses) == 750, "the last sample")
     commands = np.array([response.command[0] for response in responses])

@@ -47,6 +47,7 @@ class Validate(AbraceNode):
     def work(self) -> None:
         """Read, simulate, compare, write, draw."""
         given = self.parameters
+        models = {Path(path).stem: load_model(path) for path in (given.model, *given.other_models) if given.model}
         print("reading the bags", flush=True)
         test = self.read(given.bag)
         uncontrolled = self.read(given.uncontrolled) if given.uncontrolled else None
@@ -69,7 +70,6 @@ class Validate(AbraceNode):
         judged = None
         if given.model:
             print("simulating", flush=True)
-            models = {Path(path).stem: load_model(path) for path in (given.model, *given.other_models)}
             first, *others = comparisons = self.simulate(test, models)
             judged = predicted(comparisons[first])
             content |= _simulated(comparisons[first]) | {
