@@ -88,15 +88,17 @@ def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_list
     path = campaign(tmp_path, *SHORT)
     listener = [find_executable("abrace_bags", "logger"), "--ros-args", "-p", "all:=true", "-p", "output:=listened"]
     with subprocess.Popen(listener, cwd=tmp_path, env=environment) as listening:
-        wait_for((tmp_path / "listened").exists, 30.0, "the listener")
-        process = start(tmp_path, environment, "campaign", str(path))
-        wake_ups: dict[int, int] = {}
-        deadline = time.monotonic() + 100.0
-        while process.poll() is None and time.monotonic() < deadline:
-            wake_ups |= {node: event_wake_ups(node) or wake_ups.get(node, 0) for node in nodes_of(tmp_path)}
-            time.sleep(0.05)
-        output, errors = process.communicate(timeout=1)
-        listening.send_signal(signal.SIGINT)
+        try:
+            wait_for((tmp_path / "listened").exists, 30.0, "the listener")
+            process = start(tmp_path, environment, "campaign", str(path))
+            wake_ups: dict[int, int] = {}
+            deadline = time.monotonic() + 100.0
+            while process.poll() is None and time.monotonic() < deadline:
+                wake_ups |= {node: event_wake_ups(node) or wake_ups.get(node, 0) for node in nodes_of(tmp_path)}
+                time.sleep(0.05)
+            output, errors = process.communicate(timeout=1)
+        finally:
+            listening.send_signal(signal.SIGINT)
     assert read_topics(tmp_path / "listened", ["/short/response"])["/short/response"].log_time.size
     assert process.returncode == 0, errors
     assert "[1/2] shaken: done" in errors
@@ -193,9 +195,7 @@ def test_modes_of_the_frame_without_braces_and_without_a_drive_are_in_the_report
     assert read_facts(bags / "quiet")["disconnected_braces"] == "[1]"
 
 
-def test_a_campaign_interrupted_three_times_goes_on_and_has_the_results_of_one_that_was_not(
-    recorded, tmp_path, environment
-):
+def test_a_campaign_interrupted_twice_goes_on_and_has_the_results_of_one_that_was_not(recorded, tmp_path, environment):
     command = ["campaign", str(campaign(tmp_path, *SHORT))]
     results = tmp_path / "results"
 
@@ -203,12 +203,12 @@ def test_a_campaign_interrupted_three_times_goes_on_and_has_the_results_of_one_t
         bags = (tmp_path / "bags").glob("short/*/pushed/*.mcap")
         return [bag for bag in bags if bag.stat().st_size > 50_000]
 
-    for count, number in enumerate((signal.SIGINT, signal.SIGKILL, signal.SIGTERM), 1):
+    for count, number in enumerate((signal.SIGKILL, signal.SIGINT), 1):
         process = start(tmp_path, environment, *command)
         wait_for(lambda count=count: len(grown()) == count, 60, "a bag that grows")
         process.send_signal(number)
         _, errors = process.communicate(timeout=120)
-        assert process.returncode == {signal.SIGINT: 130, signal.SIGTERM: 143}.get(number, -number)
+        assert process.returncode == {signal.SIGINT: 130}.get(number, -number)
         assert "Traceback" not in errors
         assert ("shaken: whole, kept" in errors) == (count > 1)
         assert not (results / "short").exists()
@@ -225,7 +225,7 @@ def test_a_campaign_interrupted_three_times_goes_on_and_has_the_results_of_one_t
     assert found == expected
     assert {"shaken /short/response", "pushed /short/brace_command", "nodes/shaken_plant.yaml"} <= found.keys()
     assert sorted(path.name for path in results.iterdir()) == [".short.lock", "short"]
-    assert len(list((tmp_path / "bags/short").iterdir())) == 4, "bags are never written over"
+    assert len(list((tmp_path / "bags/short").iterdir())) == 3, "bags are never written over"
 
 
 def test_from_a_step_on_it_is_run_anew_and_what_fails_leaves_the_last_results(recorded, environment):
@@ -284,23 +284,21 @@ def test_a_test_that_is_not_to_be_trusted_sets_the_exit_code_and_a_fault_ends_th
     assert json.loads((tmp_path / "results/short/summary.json").read_text()) == summary
 
 
-@pytest.mark.parametrize(
-    ("step", "message"),
-    [
-        ("{name: a, test: {duration: 4.0, ground_motion: {record: nowhere.at2}}}", "nowhere.at2"),
-        (
-            "{name: b, test: {duration: 9.0, ground_motion: {record: el_centro, peak_acceleration: 30.0}}}",
-            "test.ground_motion: ground motion el_centro is more than the table has: acceleration 30 m/s^2 at 2.178 s",
-        ),
-        ("{name: a, test: {duration: 4.0, controller: nowhere.yaml}}", "nowhere.yaml: No such file"),
-        ("{name: a, test: {duration: 4.0}}", "lockstep test without any input"),
-        ("{name: a, tost: {duration: 4.0}}", "tost: unknown key"),
-    ],
-)
-def test_a_wrong_campaign_ends_with_one_clear_error(tmp_path, environment, step, message):
-    process = start(tmp_path, environment, "campaign", str(campaign(tmp_path, step)))
+def test_a_wrong_campaign_ends_with_every_mistake_and_without_a_node(tmp_path, environment):
+    path = campaign(
+        tmp_path,
+        "{name: a, test: {duration: 4.0, ground_motion: {record: nowhere.at2}}}",
+        "{name: b, test: {duration: 9.0, ground_motion: {record: el_centro, peak_acceleration: 30.0}}}",
+        "{name: c, test: {duration: 4.0, controller: nowhere.yaml}}",
+    )
+    process = start(tmp_path, environment, "campaign", str(path))
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 2
-    assert message in errors
+    for message in (
+        "nowhere.at2",
+        "test.ground_motion: ground motion el_centro is more than the table has: acceleration 30 m/s^2 at 2.178 s",
+        "nowhere.yaml: No such file",
+    ):
+        assert message in errors
     assert "Traceback" not in errors
     assert not nodes_of(tmp_path)

@@ -20,7 +20,7 @@ def test_a_cut_and_a_stop_over_a_poor_link_take_the_force_along_the_ramp_to_zero
     monkeypatch.chdir(tmp_path)
     cut, stop = two_hosts.run_cases(CASES)
     for row in (cut, stop):
-        assert row["force_at_fault"]
+        assert row["force_at_fault"], row
         assert row["falls_only"], "the force falls from the fault on"
         assert row["at_zero_until_cleared"], "and stays at zero, whatever comes when the link is back"
         assert abs(row["zero_ms"] - row["fault_ms"] - 1e3 * RAMP_TIME) < 5.0, "it takes the rig's ramp"
