@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from campaign_file import TOP, day, mistakes_of
 
 from abrace.campaign.forecast import Peak
 from abrace.campaign.plan import Plan, check_campaign
 from abrace.campaign.tasks import Compare
 from abrace.cli import main
-from abrace_core.errors import AbraceError
 from abrace_core.linear_model import save_model
 from abrace_core.node import find_file
 from abrace_plant.rig.file import load_rig
@@ -19,17 +19,12 @@ DEMO = Path(__file__).parents[2] / "src/abrace/campaigns/demo.yaml"
 EL_CENTRO = "{record: el_centro, peak_acceleration: 0.980665}"
 
 
-def checked(folder: Path, *steps: str, top: str = "rig: ncree_three_storey\nlockstep: true") -> Plan:
-    listed = "\n".join(f"  - {step}" for step in steps)
-    (folder / "day.yaml").write_text(f"name: day\n{top}\nsteps:\n{listed}\n")
-    return check_campaign(folder / "day.yaml")
+def checked(folder: Path, *steps: str, top: str = TOP) -> Plan:
+    return check_campaign(day(folder, *steps, top=top))
 
 
-def problems(folder: Path, *steps: str, top: str = "rig: ncree_three_storey\nlockstep: true") -> list[str]:
-    with pytest.raises(AbraceError) as raised:
-        checked(folder, *steps, top=top)
-    start = f"campaign file {folder}/day.yaml: "
-    return [line.removeprefix(start) for line in str(raised.value).splitlines()]
+def problems(folder: Path, *steps: str, top: str = TOP) -> list[str]:
+    return mistakes_of(day(folder, *steps, top=top), check_campaign)
 
 
 def test_everything_that_is_wrong_is_told_before_the_first_test(tmp_path: Path) -> None:

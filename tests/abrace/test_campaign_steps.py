@@ -6,28 +6,24 @@ import sys
 from pathlib import Path
 
 import pytest
+from campaign_file import TOP, day, mistakes_of
 
 from abrace.campaign.drivers import drivers, rig_node
 from abrace.campaign.drives import Record
 from abrace.campaign.file import Campaign, RigSetup, load_campaign
 from abrace.campaign.laboratory import Laboratories
 from abrace.campaign.tasks import Compare, OwnController, OwnRig, RigTest, Validate
-from abrace_core.errors import AbraceError
 from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS
 
 MOTION = "{record: el_centro, peak_acceleration: 0.5}"
 
 
-def campaign(folder: Path, *steps: str, top: str = "rig: ncree_three_storey\nlockstep: true") -> Campaign:
-    listed = "\n".join(f"  - {step}" for step in steps)
-    (folder / "day.yaml").write_text(f"name: day\n{top}\nsteps:\n{listed}\n")
-    return load_campaign(folder / "day.yaml")
+def campaign(folder: Path, *steps: str, top: str = TOP) -> Campaign:
+    return load_campaign(day(folder, *steps, top=top))
 
 
-def mistakes(folder: Path, *steps: str, top: str = "rig: ncree_three_storey\nlockstep: true") -> list[str]:
-    with pytest.raises(AbraceError) as raised:
-        campaign(folder, *steps, top=top)
-    return [line.removeprefix(f"campaign file {folder}/day.yaml: ") for line in str(raised.value).splitlines()]
+def mistakes(folder: Path, *steps: str, top: str = TOP) -> list[str]:
+    return mistakes_of(day(folder, *steps, top=top), load_campaign)
 
 
 def test_a_record_takes_every_treatment_of_the_node_that_plays_it(tmp_path: Path) -> None:

@@ -49,8 +49,9 @@ def parser() -> OneLineParser:
     )
     file = campaign.add_argument("file", help="YAML file, or the name of one of ours: demo, five_controllers")
     _completed(file, completion.campaigns)
-    campaign.add_argument("--check", action="store_true", help="only check the file, and say what it will do")
-    campaign.add_argument("--from", dest="start", metavar="STEP", help="run this step and those after it anew")
+    one_of = campaign.add_mutually_exclusive_group()
+    one_of.add_argument("--from", dest="start", metavar="STEP", help="run this step and those after it anew")
+    one_of.add_argument("--check", action="store_true", help="only check the file, and say what it will do")
     add_report_parser(commands)
     add_bag_parser(commands)
     commands.add_parser(
