@@ -2,6 +2,7 @@
 
 faults           joins at which the rig, with a `command_timeout` of 0.02 s as by default, let its braces go
 longest_hold_ms  the longest time for which one command was in force; each command is another force
+found_ms, found_ms_worst  from when a node has joined until it receives the rig's samples: median and worst
 
 python benchmarks/joins.py COUNT
 """
@@ -10,7 +11,9 @@ from __future__ import annotations
 
 import json
 import os
+import statistics
 import sys
+import time
 from typing import TYPE_CHECKING, Any
 
 import rclpy
@@ -58,7 +61,8 @@ class Node:
 
 
 def join(namespace: str) -> None:
-    """Come, receive both streams, leave."""
+    """Come, receive both streams, leave; print the time [ms] until the first sample."""
+    begin = time.monotonic()
     node = Node("viewer")
     counts = dict.fromkeys((Response, BraceCommand), 0)
 
@@ -70,17 +74,20 @@ def join(namespace: str) -> None:
 
     for message_type, topic in ((Response, "response"), (BraceCommand, "brace_command")):
         node.listen(message_type, f"{namespace}/{topic}", count(message_type))
+    node.until(lambda: counts[Response])
+    print(1e3 * (time.monotonic() - begin))
     node.until(lambda: min(counts.values()) >= ENOUGH)
     node.close()
 
 
-def visit(graph: Graph) -> None:
-    """Let a process come into a graph, receive both streams, and leave."""
+def visit(graph: Graph) -> float:
+    """Let a process come into a graph, receive both streams, and leave; returns the time [ms] to its first sample."""
     command = [sys.executable, __file__, "join", graph.namespace]
     viewer = graph.processes.start("viewer", command, graph.folder / "viewer.log")
     graph.until(lambda: viewer.returncode is not None, "the viewer to leave", 60.0)
     graph.processes.stop("viewer")
     assert viewer.returncode == 0, viewer.last_lines()
+    return float(viewer.last_lines()[-1])
 
 
 class DrivenRig:
@@ -89,6 +96,7 @@ class DrivenRig:
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
         self.held = self.longest = self.driven = 0
+        self.found: list[float] = []
         self.command = 0.0
         graph.by_the_clock = True
         graph.node.create_subscription(Response, "response", self._on_response, STREAM)
@@ -124,7 +132,7 @@ class DrivenRig:
 
     def joined(self) -> str:
         """Let a node come and leave; the rig's fault meanwhile."""
-        visit(self.graph)
+        self.found.append(visit(self.graph))
         # a fault is reported at once, but not before the force is let go
         driven = self.driven
         self.graph.until(lambda: self.driven > driven + ENOUGH or self.fault, "the braces to be driven")
@@ -142,7 +150,13 @@ def joins(count: int = JOINS) -> dict[str, Any]:
                 print(f"join {number}: {fault}", file=sys.stderr)
                 rig.recover()
             print(f"join {number} of {count}: {faults} faults", end="\r", file=sys.stderr, flush=True)
-        return {"joins": count, "faults": faults, "longest_hold_ms": SAMPLE_PERIOD_MS * rig.longest}
+        return {
+            "joins": count,
+            "faults": faults,
+            "longest_hold_ms": SAMPLE_PERIOD_MS * rig.longest,
+            "found_ms": statistics.median(rig.found),
+            "found_ms_worst": max(rig.found),
+        }
 
 
 def main() -> None:

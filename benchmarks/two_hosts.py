@@ -35,7 +35,7 @@ from abrace_bags import read_topics
 from abrace_core.files import write_text
 from abrace_core.node import DIAGNOSTICS
 from abrace_core.node.conventions import TRANSIENT_LOCAL_QOS
-from abrace_core.node.transport import for_streams
+from abrace_core.node.transport import profile
 from abrace_core.safety.rig_safety import ACTING, RAMP_TIME
 from abrace_interfaces.msg import Response
 
@@ -106,7 +106,7 @@ class Operator(Node):
     """Watches, starts the signal, presses and releases the stop button, clears: all from the other host."""
 
     def __init__(self, link: Link) -> None:
-        with for_streams():  # else a press that the link loses is sent again after up to 3 s
+        with profile(streams=True):  # else a press that the link loses is sent again after up to 3 s
             super().__init__("operator")
         self.link = link
         self.response = Response()

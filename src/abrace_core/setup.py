@@ -7,7 +7,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/abrace_core"]),
         ("share/abrace_core", ["package.xml"]),
-        ("share/abrace_core/config", ["config/lockstep.xml", "config/streams.xml"]),
+        ("share/abrace_core/config", ["config/shared_memory.xml", "config/streams.xml"]),
     ],
     zip_safe=True,
     maintainer="abrace developers",

@@ -110,6 +110,7 @@ def test_a_transition_out_of_turn_is_refused_with_a_reason_and_the_node_goes_on(
 
 
 def test_a_rig_configured_anew_publishes_each_sample_once(graph):
+    graph.by_the_clock = True
     graph.start("plant", autostart=False)
     for transition in ("configure", "activate", "deactivate", "cleanup", "configure", "activate"):
         assert graph.change_state("plant", transition), transition

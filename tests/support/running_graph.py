@@ -26,6 +26,7 @@ from std_srvs.srv import Trigger
 
 from abrace.processes.group import NodeProcess, ProcessGroup, find_executable
 from abrace.processes.parameter_file import parameter_file
+from abrace_core.node.transport import profile
 from abrace_interfaces.msg import BraceCommand, Response
 
 if TYPE_CHECKING:
@@ -73,7 +74,8 @@ class Graph:
         self.namespace = namespace
         self.folder = folder
         self.processes = processes
-        self.node: Node = rclpy.create_node("test", namespace=namespace, context=context)
+        with profile(streams=False):  # nodes that start after us find us at once
+            self.node: Node = rclpy.create_node("test", namespace=namespace, context=context)
         self.executor = SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
         self.started: dict[str, NodeProcess] = {}

@@ -15,6 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from abrace.report.node_table import NodeReport
 from abrace_core.errors import RunFailed
 from abrace_core.node import DIAGNOSTICS
+from abrace_core.node.transport import profile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -78,9 +79,10 @@ class GraphMonitor:
 
     def __enter__(self) -> Self:
         self._context = rclpy.Context()
-        self._context.init(args=["--ros-args", "--enclave", self._enclave])
-        rclpy.signals.install_signal_handlers(SignalHandlerOptions.NO)
-        self._node = rclpy.create_node(self._name, namespace=self._namespace, context=self._context)
+        with profile(streams=False):  # nodes that start after us find us at once
+            self._context.init(args=["--ros-args", "--enclave", self._enclave])
+            rclpy.signals.install_signal_handlers(SignalHandlerOptions.NO)
+            self._node = rclpy.create_node(self._name, namespace=self._namespace, context=self._context)
         self._executor = rclpy.executors.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         # a server drops its answers to a client that it has not discovered yet: made before the nodes start, or

@@ -20,7 +20,7 @@ from yaml import YAMLError
 from abrace.report.node_table import NodeReport, node_table
 from abrace_core.errors import AbraceError
 from abrace_core.node import DIAGNOSTICS, TRANSIENT_LOCAL_QOS, RCLError, rcl_message
-from abrace_core.node.transport import for_streams
+from abrace_core.node.transport import profile
 from abrace_core.safety.stop_senders import UNNAMED
 from abrace_core.suggestion import did_you_mean
 
@@ -52,7 +52,7 @@ class Operator:
     def __enter__(self) -> Self:
         self._context = rclpy.Context()
         try:
-            with for_streams():  # what is lost on the way is sent again at once
+            with profile(streams=True):  # what is lost on the way is sent again at once
                 self._context.init()
                 self.node = rclpy.create_node("operator", context=self._context, start_parameter_services=False)
         except RCLError as error:
@@ -169,7 +169,7 @@ def stop() -> int:
         def stopped() -> list[str]:
             return sorted(name for name, report in operator.reports.items() if report.stopped)
 
-        listening = operator.spin(PATIENCE, lambda: stopped() and len(stopped()) == len(rigs(operator)))
+        listening = operator.spin(PATIENCE, lambda: stopped() and stopped() == rigs(operator))
         # who left before its name was heard would stay a node of unknown name
         operator.spin(NAMING, lambda: not any(UNNAMED in report.stopped for report in operator.reports.values()))
         repeated.cancel()

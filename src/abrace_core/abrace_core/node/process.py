@@ -6,7 +6,6 @@ wrong, where, and what was expected).
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import os
 import select
@@ -29,7 +28,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.node import real_time
 from abrace_core.node.conventions import AbraceNode, Described, RCLError, rcl_message
 from abrace_core.node.threads import LONGEST_WAIT
-from abrace_core.node.transport import for_streams
+from abrace_core.node.transport import profile
 from abrace_core.ros_arguments import check_environment, mistake_in
 
 EVENTS_WHEN_LATE = 3
@@ -244,7 +243,7 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
         check_environment()
         if END_WITH in os.environ:
             _end_with(os.environ[END_WITH])
-        with for_streams() if getattr(create, "streams", False) else contextlib.nullcontext():
+        with profile(getattr(create, "streams", False)):
             _initialize(arguments)
             try:
                 node = create()
