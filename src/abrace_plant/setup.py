@@ -10,6 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/abrace_plant"]),
         ("share/abrace_plant", ["package.xml"]),
         ("share/abrace_plant/config", sorted(glob("config/*.yaml"))),
+        ("share/abrace_plant/config/frames", sorted(glob("config/frames/*.yaml"))),
         ("share/abrace_plant/config/devices", sorted(glob("config/devices/*.yaml"))),
         ("share/abrace_plant/config/device_parts", sorted(glob("config/device_parts/*.yaml"))),
     ],

@@ -38,10 +38,11 @@ FROM_PIP = {
     "eqsig",
     "skrf",
     "mcap_ros2",
+    "Pynite",
 }
 """Python packages that rosdep does not know, has by pip alone (which Ubuntu refuses outside an environment: rosbags,
 mcap-ros2-support), or older than abrace needs (pydantic 1): `make setup` installs them."""
-NAMES_OF_PIP = {"skrf": "scikit-rf", "mcap_ros2": "mcap-ros2-support"}
+NAMES_OF_PIP = {"skrf": "scikit-rf", "mcap_ros2": "mcap-ros2-support", "Pynite": "PyNiteFEA"}
 MODULES_OF_TESTS = {path.stem for folder in ("tests/support", "benchmarks") for path in (ROOT / folder).glob("*.py")}
 PACKAGES = {"abrace_interfaces", *FLOORS} - {"abrace"}
 """Named in a text they are a dependency; `abrace` is so for launch alone, else it is the name of other things."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.errors import AbraceError
+from abrace_plant.frames.structure import rayleigh_coefficients
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -182,7 +183,7 @@ def rayleigh_damping(
     two = frequencies[np.array(modes) - 1]
     if np.ptp(two) < 1e-9 * two.max():
         raise AbraceError(f"modes {modes[0]} and {modes[1]} have the same frequency, expected two different ones")
-    of_mass, of_stiffness = np.linalg.solve(np.column_stack([1 / two, two]) / 2, np.array(ratios))
+    of_mass, of_stiffness = rayleigh_coefficients(two.tolist(), ratios)
     every = (of_mass / frequencies + of_stiffness * frequencies) / 2
     for i, ratio in enumerate(every):
         if not 0 < ratio < 1:

@@ -1,0 +1,1 @@
+"""Plane frames: takes nodes, members and masses, gives matrices, smaller models with their errors, and moments."""

@@ -1,0 +1,132 @@
+"""The linear model of a building of plane frames, from the ground's acceleration and forces between its levels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from abrace_core import signals
+from abrace_core.linear_model import LinearModel
+from abrace_plant.frames.structure import rayleigh_coefficients
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_plant.frames.file import FrameBuilding
+
+STILL = 1e-9
+"""Share of a mode's kinetic energy in the floors' horizontal motion, below which neither ground nor devices excite it:
+the modes that a symmetric frame has only vertically."""
+
+
+class ModalBuilding(NamedTuple):
+    """The modes of one frame that ground and devices excite, slowest first."""
+
+    frequencies: NDArray[np.float64]
+    """(modes,) [rad/s]."""
+    damping_ratios: NDArray[np.float64]
+    """(modes,)."""
+    ground: NDArray[np.float64]
+    """(modes,) participation of the ground's acceleration."""
+    levels: NDArray[np.float64]
+    """(levels, modes) displacement of each level."""
+    curvature: NDArray[np.float64]
+    """(ends, modes) curvature over yield curvature at the members' ends, hinges left out."""
+
+
+def modal_building(building: FrameBuilding, modes: int = 0) -> ModalBuilding:
+    """The excited modes of one frame of a `building`; the slowest `modes` of them, 0: all."""
+    structure = building.frame.structure()
+    frequencies, shapes = structure.modes()
+    one, other = (frequencies[number - 1] for number in building.damped_modes)
+    of_mass, of_stiffness = rayleigh_coefficients((one, other), (building.damping_ratio,) * 2)
+    nodes = structure.displacements @ shapes
+    energy = building.frame.masses[:, 0] @ nodes.reshape(-1, 3, len(frequencies))[:, 0] ** 2
+    picked = np.flatnonzero(energy > STILL)[: modes or None]
+    frequencies, shapes, nodes = frequencies[picked], shapes[:, picked], nodes[:, picked]
+    strength = [
+        (0.0 if hinged else 1 / (member.section.bending * member.section.yield_curvature))
+        for member in building.frame.members
+        for hinged in member.hinged
+    ]
+    ends = np.flatnonzero(strength)
+    return ModalBuilding(
+        frequencies,
+        (of_mass / frequencies + of_stiffness * frequencies) / 2,
+        shapes.T @ structure.ground_load,
+        nodes[3 * np.array(building.levels)],
+        (building.frame.end_moments()[ends] @ nodes) * np.array(strength)[ends, None],
+    )
+
+
+def building_model(building: FrameBuilding, devices: Sequence[int] = (), modes: int = 0) -> LinearModel:
+    """The continuous model of a building whose devices push its levels apart.
+
+    Parameters
+    ----------
+    building
+        The building.
+    devices
+        (storeys,) how many equal devices with one command each storey has, the lowest first; a storey without one has
+        no command. They push the level above and the one below, each frame with its share; empty: none at all.
+    modes
+        Excited modes that count; 0: all.
+
+    Returns
+    -------
+    LinearModel
+        From `w` and the commands `U1` ... (force of one device, [N]; one command alone is `U`) to `x1` ...
+        displacements [m], `v1` ... velocities relative to the ground [m/s], `a1` ... absolute accelerations [m/s^2] of
+        the levels, and `c1` ... curvature over yield curvature of the members' ends where it is known.
+    """
+    modal = modal_building(building, modes)
+    count, levels = len(modal.frequencies), len(building.levels)
+    x, v = slice(0, count), slice(count, 2 * count)
+    pushed = device_directions(devices, levels)
+    a, b = np.zeros((2 * count, 2 * count)), np.zeros((2 * count, 1 + pushed.shape[1]))
+    a[x, v] = np.eye(count)
+    a[v, x] = np.diag(-(modal.frequencies**2))
+    a[v, v] = np.diag(-2 * modal.damping_ratios * modal.frequencies)
+    b[v, 0] = -modal.ground
+    b[v, 1:] = modal.levels.T @ pushed / building.frames
+    moves = np.zeros((levels, 2 * count))
+    moves[:, x] = modal.levels
+    accelerates = modal.levels @ a[v]
+    through = modal.levels @ b[v]
+    # what moves with the ground: all levels, exactly where all modes count
+    through[:, 0] = 1.0 + through[:, 0]
+    velocities = np.hstack([np.zeros((levels, count)), modal.levels])
+    bends = np.hstack([modal.curvature, np.zeros((len(modal.curvature), count))])
+    names = [f"{kind}{i + 1}" for kind in "xva" for i in range(levels)] + [f"c{i + 1}" for i in range(len(bends))]
+    silent = np.zeros((levels, b.shape[1]))
+    return LinearModel(
+        a,
+        b,
+        np.vstack([moves, velocities, accelerates, bends]),
+        np.vstack([silent, silent, through, np.zeros((len(bends), b.shape[1]))]),
+        (signals.GROUND, *(signals.command_names(pushed.shape[1]) if pushed.shape[1] else ())),
+        tuple(names),
+        provenance={"frame": building.name, "modes": count},
+    )
+
+
+def device_directions(devices: Sequence[int], levels: int) -> NDArray[np.float64]:
+    """Force on each level of the building for each newton of one device of each command, (levels, commands).
+
+    Parameters
+    ----------
+    devices
+        As in `building_model`.
+    levels
+        How many.
+    """
+    storeys = [storey for storey, count in enumerate(devices, 1) if count]
+    found = np.zeros((levels, len(storeys)))
+    for j, storey in enumerate(storeys):
+        found[storey - 1, j] = devices[storey - 1]
+        if storey > 1:
+            found[storey - 2, j] = -devices[storey - 1]
+    return found

@@ -1,0 +1,88 @@
+"""Frame files: the benchmark buildings, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from abrace_core.errors import AbraceError
+from abrace_core.installed import find_file
+from abrace_plant.frames.file import load_frame
+from abrace_plant.frames.model import building_model, modal_building
+
+QUOTED_3 = [0.990, 3.056, 5.827, 7.230, 9.974, 10.961]
+"""Frequencies of the paper, as an OpenSees model of it quotes them [Hz]."""
+FREQUENCIES_20 = [0.261304, 0.752646, 1.298988, 1.827195, 2.398195, 2.441561, 2.922539, 3.005584, 3.631623, 3.683357]
+"""Of an independent rebuild of the benchmark's program, which meets its responses to 3e-6 [Hz]."""
+
+
+def frame_file(name: str) -> Path:
+    return find_file(name, "abrace_plant", "config/frames", ".yaml", "frame")
+
+
+def changed(tmp_path: Path, change) -> Path:
+    content = yaml.safe_load(frame_file("sac_la_3").read_text(encoding="utf-8"))
+    change(content)
+    path = tmp_path / "frame.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+def test_the_3_storey_building_has_the_quoted_frequencies():
+    building = load_frame(frame_file("sac_la_3"))
+    frequencies, _ = building.frame.structure().modes()
+    assert frequencies[:6] / (2 * np.pi) == pytest.approx(QUOTED_3, rel=4e-4)
+    assert building.masses.sum() == pytest.approx(2948980.0)
+
+
+def test_the_20_storey_building_has_the_benchmarks_coordinates_mass_and_frequencies():
+    building = load_frame(frame_file("sac_la_20"))
+    assert building.frame.coordinates().max() + 1 == 291
+    assert building.masses.sum() == pytest.approx(11076600.0)
+    structure = building.frame.structure()
+    frequencies, _ = structure.modes()
+    assert frequencies[:10] / (2 * np.pi) == pytest.approx(FREQUENCIES_20, rel=1e-5)
+    modal = modal_building(building)
+    assert modal.damping_ratios[:5] == pytest.approx([0.02, 0.0119214, 0.0133966, 0.01632, 0.02], rel=1e-5)
+    assert structure.mass_left_out(structure.truncated(15)) < 0.06
+
+
+def test_guyans_reduction_to_levels_says_its_error():
+    building = load_frame(frame_file("sac_la_20"))
+    structure = building.frame.structure()
+    horizontal = [int(np.argmax(structure.displacements[3 * node])) for node in building.levels]
+    errors = structure.frequency_errors(structure.condensed(np.array(horizontal)))
+    assert errors[0] == pytest.approx(0, abs=2e-3)
+    assert 0 < errors.max() < 0.5
+
+
+def test_devices_push_levels_apart_with_each_frames_share():
+    building = load_frame(frame_file("sac_la_3"))
+    model = building_model(building, (2, 0, 1))
+    assert model.inputs == ("w", "U1", "U2")
+    accelerations = model.select([f"a{i}" for i in (1, 2, 3)]).d
+    # what a force does at once: the floors move as their masses let them, the vertical ones being in the way but little
+    expected = np.array([[2.0, 0.0], [0.0, -1.0], [0.0, 1.0]]) / building.masses[:, None]
+    assert accelerations[:, 1:] == pytest.approx(expected, rel=1e-6, abs=1e-12)
+    assert accelerations[:, 0] == pytest.approx(np.zeros(3), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c["levels"].pop(), "levels: 2, expected one for each of 3 storeys"),
+        (lambda c: c["levels"][0]["beams"].pop(), r"levels.0.beams: 3, expected one for each of 4 bays"),
+        (lambda c: c["storeys"][1]["columns"].pop(), r"storeys.1.columns: 4, expected one for each of 5 column lines"),
+        (lambda c: c["levels"][2].update(hinged=[5]), "levels.2.hinged: bay 5, expected one from 1 to 4"),
+        (lambda c: c["levels"][2].update(held=True), "levels.2.held: true, expected a level above the ground"),
+        (lambda c: c["storeys"][0]["columns"].__setitem__(0, "W1"), "storeys.0.columns.0: 'W1', expected a section"),
+        (lambda c: c["damping"].update(modes=[2, 2]), r"damping.modes: \[2, 2\], expected two different modes"),
+        (lambda c: c.update(colour="red"), "colour"),
+        (lambda c: c["bays"].__setitem__(0, -1.0), "bays.0: -1.0"),
+    ],
+)
+def test_a_wrong_frame_file_is_refused_by_key(tmp_path, change, message):
+    path = changed(tmp_path, change)
+    with pytest.raises(AbraceError, match=f"frame file {path}: .*{message}"):
+        load_frame(path)
