@@ -14,23 +14,12 @@ import domain_coordinator
 import pytest
 import rclpy
 from rclpy.signals import SignalHandlerOptions
-from running_graph import Commander, Graph
+from running_graph import HELD_UP, Commander, Graph
 
 from abrace.processes.group import ProcessGroup
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
-
-HELD_UP = (
-    "samples missed before sample",
-    "samples lost before sample",
-    "samples in a row were taken late",
-    "no brace_command for",
-    "no ground_motion for",
-    "no response for more than",
-)
-"""What nodes say by the clock of a machine that stood still for longer than their time-out."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

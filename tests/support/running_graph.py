@@ -38,6 +38,17 @@ if TYPE_CHECKING:
     from rclpy.task import Future
 
 PATIENCE = 60.0
+PATIENCE_AFTER_HOLD_UP = 10.0
+"""Seconds to wait on, once a node reports one of HELD_UP: mostly what is waited for does not come any more."""
+HELD_UP = (
+    "samples missed before sample",
+    "samples lost before sample",
+    "samples in a row were taken late",
+    "no brace_command for",
+    "no ground_motion for",
+    "no response for more than",
+)
+"""What nodes say by the clock of a machine that stood still for longer than their time-out."""
 PACKAGES = {
     "plant": "abrace_plant",
     "sensor_bridge": "abrace_plant",
@@ -86,6 +97,7 @@ class Graph:
         self._clients: dict[str, Client] = {}
         self.statuses: dict[str, DiagnosticStatus] = {}
         """The last diagnostics of each node, by its name."""
+        self._held_up = False
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -128,14 +140,23 @@ class Graph:
 
     def until(self, holds: Callable[[], Any], what: str, patience: float = PATIENCE) -> Any:
         """Spin until `holds()`; fail when it does not within `patience`, or when a node has died."""
-        deadline = time.monotonic() + patience
+        began = time.monotonic()
         while not (answer := holds()):
-            assert time.monotonic() < deadline, f"waited {patience:g} s for {what}; {self.reported()}"
+            now = time.monotonic()
+            if self._is_held_up():
+                patience = min(patience, now - began + PATIENCE_AFTER_HOLD_UP)
+            assert now < began + patience, f"waited {patience:.0f} s for {what}; {self.reported()}"
             self.executor.spin_once(timeout_sec=0.02)
             for process in self.started.values():
                 if process.returncode is not None and process.name not in self.may_end:
                     raise process.died()
         return answer
+
+    def _is_held_up(self) -> bool:
+        """Whether a node has first reported one of HELD_UP now."""
+        before = self._held_up
+        self._held_up = any(words in one.message for one in self.statuses.values() for words in HELD_UP)
+        return self._held_up and not before
 
     def reported(self) -> str:
         """What each node says of itself, and with what those that have ended did so."""
