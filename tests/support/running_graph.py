@@ -97,7 +97,6 @@ class Graph:
         self._clients: dict[str, Client] = {}
         self.statuses: dict[str, DiagnosticStatus] = {}
         """The last diagnostics of each node, by its name."""
-        self._held_up = False
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -140,12 +139,12 @@ class Graph:
 
     def until(self, holds: Callable[[], Any], what: str, patience: float = PATIENCE) -> Any:
         """Spin until `holds()`; fail when it does not within `patience`, or when a node has died."""
-        began = time.monotonic()
+        began, held_up = time.monotonic(), False
         while not (answer := holds()):
-            now = time.monotonic()
-            if self._is_held_up():
-                patience = min(patience, now - began + PATIENCE_AFTER_HOLD_UP)
-            assert now < began + patience, f"waited {patience:.0f} s for {what}; {self.reported()}"
+            waited = time.monotonic() - began
+            if not held_up and self._is_held_up():
+                held_up, patience = True, min(patience, waited + PATIENCE_AFTER_HOLD_UP)
+            assert waited < patience, f"waited {waited:.0f} s for {what}; {self.reported()}"
             self.executor.spin_once(timeout_sec=0.02)
             for process in self.started.values():
                 if process.returncode is not None and process.name not in self.may_end:
@@ -153,10 +152,8 @@ class Graph:
         return answer
 
     def _is_held_up(self) -> bool:
-        """Whether a node has first reported one of HELD_UP now."""
-        before = self._held_up
-        self._held_up = any(words in one.message for one in self.statuses.values() for words in HELD_UP)
-        return self._held_up and not before
+        """Whether a node reports one of HELD_UP."""
+        return any(words in one.message for one in self.statuses.values() for words in HELD_UP)
 
     def reported(self) -> str:
         """What each node says of itself, and with what those that have ended did so."""
