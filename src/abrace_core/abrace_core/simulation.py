@@ -12,11 +12,11 @@ after the other is cut before it acts. Both are the plain recursion in another o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from abrace_core.block_maps import BLOCK, LARGEST, BlockMaps, in_series, steady_length
 from abrace_core.compiled import compiled
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel, takes_models
@@ -24,18 +24,8 @@ from abrace_core.linear_model import LinearModel, takes_models
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-BLOCK = 16
-"""Samples a block. Longer ones mean fewer steps and larger matrices; 16 and 32 take the least time at 25 states."""
-
 FEW = 4
 """Steps up to which the plain recursion is faster than cyclic reduction."""
-
-LARGEST = 1e100
-"""Greatest entry of a matrix power that is squared: beyond it the square might overflow, though the result does not."""
-
-LARGEST_GROWTH = 100.0
-"""Greatest growth of an unstable motion of plant or controller alone within a block of a closed loop. In the sum it
-cancels, at the cost of as many digits as this factor has."""
 
 
 @takes_models
@@ -71,10 +61,10 @@ def simulate(
     state = np.zeros(model.order) if initial is None else np.asarray(initial, dtype=np.float64)
     if state.shape != (model.order,):
         raise AbraceError(f"simulate: initial state of shape {state.shape}, expected ({model.order},)")
-    _check_finite("simulate: inputs", inputs)
+    check_finite("simulate: inputs", inputs)
     if not model.order:
         return np.asarray(inputs @ model.d.T)
-    maps = _BlockMaps.of(model, min(BLOCK, len(inputs)))
+    maps = BlockMaps.of(model, min(BLOCK, len(inputs)))
     blocks = maps.blocks(inputs)
     driven = blocks[:, model.order :] @ maps.state_from_inputs.T
     blocks[:, : model.order] = _starts(maps.state_from_state, driven, state)
@@ -133,14 +123,14 @@ def simulate_closed_loop(
             f"closed loop: ground acceleration of shape {ground_acceleration.shape} and capacities of shape "
             f"{capacity.shape}, expected (samples,) and ({commands},)"
         )
-    _check_finite("closed loop: ground acceleration", ground_acceleration)
+    check_finite("closed loop: ground acceleration", ground_acceleration)
     correction = np.zeros((controller.order, commands)) if correction is None else np.asarray(correction)
     if correction.shape != (controller.order, commands):
         raise AbraceError(
             f"closed loop: correction of shape {correction.shape}, expected ({controller.order}, {commands})"
         )
-    series = _in_series(model, controller, correction)
-    maps = _BlockMaps.of(series, min(_steady_length(series), samples))
+    series = in_series(model, controller, correction)
+    maps = BlockMaps.of(series, min(steady_length(series), samples))
     inputs = np.zeros((samples, 1 + commands))
     inputs[:, 0] = ground_acceleration
     blocks = maps.blocks(inputs)
@@ -152,57 +142,6 @@ def simulate_closed_loop(
     outputs = maps.samples(blocks @ maps.output_rows(slice(len(model.outputs))).T, samples)
     in_force = maps.samples(blocks[:, states:], samples)[:, 1:]
     return outputs, np.vstack([np.zeros((1, commands)), in_force[:-1]])[:samples]
-
-
-@dataclass(frozen=True)
-class _BlockMaps:
-    """Matrices from the state at a block's start and its inputs to the next block's state and the block's outputs.
-
-    `state_from_state` (states, states) and `state_from_inputs` (states, length * inputs) give the state at the next
-    block's start; `outputs` (length * outputs, states + length * inputs) the block's outputs from both.
-    """
-
-    length: int
-    state_from_state: NDArray[np.float64]
-    state_from_inputs: NDArray[np.float64]
-    outputs: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, model: LinearModel, longest: int) -> _BlockMaps:
-        """Of a discrete model: a power of two of samples, up to `longest` unless a power of A is too large before."""
-        power, from_inputs, from_state, length = model.a, model.b, model.c, 1
-        while 2 * length <= longest and np.abs(power).max(initial=0.0) < LARGEST:
-            from_state = np.vstack([from_state, from_state @ power])
-            from_inputs = np.hstack([power @ from_inputs, from_inputs])
-            power = power @ power
-            length *= 2
-        rows, columns = model.d.shape
-        markov = np.concatenate([model.d[None], (from_state @ model.b).reshape(length, rows, columns)[:-1]])
-        toeplitz = np.zeros((length, rows, length, columns))
-        for i in range(length):
-            toeplitz[i:, :, i] = markov[: length - i]
-        outputs = np.hstack([from_state, toeplitz.reshape(length * rows, length * columns)])
-        return cls(length, power, from_inputs, outputs)
-
-    def blocks(self, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(blocks, states + length * inputs): room for the states at the starts, and the inputs, zero past the end."""
-        states, (count, channels) = len(self.state_from_state), inputs.shape
-        full, columns = count // self.length, self.length * channels
-        blocks = np.zeros((-(-count // self.length), states + columns))
-        blocks[:full, states:] = inputs[: full * self.length].reshape(full, columns)
-        rest = inputs[full * self.length :].ravel()
-        blocks[full:, states : states + len(rest)] = rest
-        return blocks
-
-    def output_rows(self, chosen: slice) -> NDArray[np.float64]:
-        """The rows of `outputs` that belong to some of the model's outputs."""
-        rows, columns = self.outputs.shape
-        by_sample = self.outputs.reshape(self.length, rows // self.length, columns)[:, chosen]
-        return by_sample.reshape(self.length * by_sample.shape[1], columns)
-
-    def samples(self, blocks: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-        """(count, channels) from (blocks, length * channels)."""
-        return blocks.reshape(len(blocks) * self.length, blocks.shape[1] // self.length)[:count]
 
 
 def _starts(
@@ -222,41 +161,6 @@ def _starts(
     starts[::2] = _starts(transition @ transition, pairs, initial)
     starts[1::2] = starts[0 : steps - 1 : 2] @ transition.T + even
     return starts
-
-
-def _in_series(model: LinearModel, controller: LinearModel, correction: NDArray[np.float64]) -> LinearModel:
-    """From ground acceleration and commands in force to the model's outputs and the next commands, before saturation.
-
-    The state of the controller is p(k) = q(k) - G U(k-1), with its own state q(k) and the `correction` G: U(k-1), once
-    saturated, is the command in force at sample k, an input here.
-    """
-    missing = [name for name in controller.inputs if name not in model.outputs]
-    if missing:
-        raise AbraceError(
-            f"closed loop: the controller measures {', '.join(missing)}, the model gives {', '.join(model.outputs)}"
-        )
-    measured = np.array([model.outputs.index(name) for name in controller.inputs], dtype=np.intp)
-    c, d = model.c[measured], model.d[measured]
-    a, b = controller.a - correction @ controller.c, controller.b - correction @ controller.d
-    in_force = np.hstack([np.zeros((controller.order, 1)), correction])
-    return LinearModel(
-        np.block([[model.a, np.zeros((model.order, controller.order))], [b @ c, a]]),
-        np.vstack([model.b, b @ d + a @ in_force]),
-        np.block([[model.c, np.zeros((len(model.outputs), controller.order))], [controller.d @ c, controller.c]]),
-        np.vstack([model.d, controller.d @ d + controller.c @ in_force]),
-        model.inputs,
-        (*model.outputs, *(f"next {name}" for name in controller.outputs)),
-        model.sample_period,
-    )
-
-
-def _steady_length(series: LinearModel) -> int:
-    """Samples a block in which no motion of model or controller alone grows by more than LARGEST_GROWTH."""
-    growth = np.abs(np.linalg.eigvals(series.a)).max(initial=0.0)
-    length = BLOCK
-    while length > 1 and growth**length > LARGEST_GROWTH:
-        length //= 2
-    return length
 
 
 @compiled
@@ -290,8 +194,8 @@ def _cut_commands(
             blocks[block + 1, :states] = result[:states]
 
 
-def _check_finite(what: str, values: NDArray[np.float64]) -> None:
-    """An error if a value is not finite: it would spread over its whole block."""
+def check_finite(what: str, values: NDArray[np.float64]) -> None:
+    """An error that begins with `what` if one of the `values` is not finite: it would spread over its whole block."""
     if not np.isfinite(values).all():
         sample = int(np.argwhere(~np.isfinite(values))[0, 0])
         raise AbraceError(f"{what}: not finite at sample {sample}, expected finite values")

@@ -1,32 +1,38 @@
-"""Sets of weights tried in parallel, on a Dask cluster of this machine's cores or on one that runs already.
+"""Batches of work computed on a Dask cluster, of this machine's cores or one that runs already.
 
 The processes of this machine's cluster end with the `with` block, whether it succeeds or fails; a cluster that ran
-already keeps running. Dask's own log is silenced: failures are raised as AbraceError. An outcome does not depend on the
-process that computes it.
+already keeps running. Dask's own log is silenced: failures are raised as AbraceError. A batch whose process is killed
+is computed again, and no other; what it gives does not depend on the process that computes it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import signal
+import socket
 import tempfile
+import warnings
 from multiprocessing import resource_tracker
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from abrace_core.errors import AbraceError
-from abrace_lqg.exploration.study import evaluate
+from abrace_core.errors import AbraceError, RunFailed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
 
-    from distributed import Client, LocalCluster
+    from distributed import Client, Future, LocalCluster
 
-    from abrace_lqg.exploration.study import Outcome, Study
-    from abrace_lqg.weights import Weights
+Shared = TypeVar("Shared")
+Batch = TypeVar("Batch")
+Result = TypeVar("Result")
 
-BATCH = 4
-"""Sets that a process evaluates at a time: few enough for a progress display, many enough to make messages cheap."""
+AHEAD = 3
+"""Batches that are handed out for each process: one is computed, the next wait, and memory stays flat."""
+
+KILLED = 20
+"""Processes that may be killed over one batch before it is taken for the cause."""
 
 TIMEOUT = 10.0
 """Seconds within which a scheduler and its workers have to answer."""
@@ -40,6 +46,11 @@ ENVIRONMENT = {
 }
 """Of each process. Without these thresholds every freed array of a record's length returns to the system, which doubles
 the time."""
+
+CONFIGURATION = {
+    "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
+    "distributed.scheduler.allowed-failures": KILLED,
+}
 
 
 @contextlib.contextmanager
@@ -60,7 +71,7 @@ def cluster(scheduler: str = "", workers: int | None = None) -> Iterator[Client]
         If the scheduler does not answer or has no workers.
     """
     from distributed import Client
-    from distributed.comm.addressing import resolve_address
+    from distributed.comm.addressing import get_address_host_port, resolve_address
 
     for name in ("distributed", "tornado"):
         for handler in logging.getLogger(name).handlers:
@@ -69,6 +80,7 @@ def cluster(scheduler: str = "", workers: int | None = None) -> Iterator[Client]
         address = scheduler or stack.enter_context(_local_cluster(workers)).scheduler_address
         try:
             resolve_address(address)
+            socket.create_connection(get_address_host_port(address), TIMEOUT).close()  # Dask would ask for TIMEOUT
             client = stack.enter_context(Client(address, timeout=TIMEOUT, set_as_default=False))
         except (OSError, ValueError) as error:  # a TimeoutError is an OSError
             raise AbraceError(
@@ -89,7 +101,7 @@ def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
 
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="abrace_explore_"))
-        stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": ENVIRONMENT}))
+        stack.enter_context(dask.config.set(CONFIGURATION))
         resource_tracker.ensure_running()  # before signals are blocked, as its start unblocks them
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:  # threads started now, and the processes that these start, keep the signal blocked
@@ -107,56 +119,76 @@ def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
         yield stack.enter_context(running)
 
 
-def explore(
-    study: Study,
-    sets: Sequence[Weights],
+def compute(
     client: Client,
-    progress: Callable[[int], None] = lambda _done: None,
-) -> list[Outcome]:
-    """Evaluate all sets of weights in the processes of a Dask cluster.
+    function: Callable[[Shared, Batch], Result],
+    shared: Shared,
+    batches: Iterable[Batch],
+    done: Callable[[Batch, Result], None],
+) -> None:
+    """Compute batches in the processes of a Dask cluster.
 
     Parameters
     ----------
-    study
-        Models and records; sent to each process once.
-    sets
-        Numbered from 0.
     client
         Of the cluster, as `cluster` gives it.
-    progress
-        Called with the number of evaluated sets, after each batch.
-
-    Returns
-    -------
-    list
-        An outcome for each set, in their order.
+    function
+        Of a module that the processes can import; gives the result of a batch.
+    shared
+        What all batches need; sent to each process once.
+    batches
+        As small as messages are; taken one by one.
+    done
+        Called with a batch and its result, in the order in which they come; the results are not kept.
 
     Raises
     ------
     AbraceError
-        If the models lack a measured quantity, or a process of the cluster fails.
+        As `function` raises it.
+    RunFailed
+        If the scheduler is lost, a batch kills every process that computes it, or `function` fails otherwise.
     """
-    from distributed import as_completed
+    from distributed import CancelledError, KilledWorker, as_completed
 
-    for weights in sets[:1]:
-        unknown = set(weights.measured) - set(study.plant.outputs)
-        if unknown or len(set(weights.measured)) < len(weights.measured):
-            raise AbraceError(
-                f"measured quantities {', '.join(weights.measured)}: expected each once, out of "
-                f"{', '.join(study.plant.outputs)}"
-            )
-    shared = client.scatter(study, broadcast=True, hash=False)
-    numbered = list(enumerate(sets))
-    batches = [numbered[first : first + BATCH] for first in range(0, len(sets), BATCH)]
-    futures = [client.submit(_evaluate_all, shared, batch, pure=False) for batch in batches]
-    outcomes: list[Outcome] = []
-    for future in as_completed(futures, loop=client.loop):
-        if future.status != "finished":
-            raise AbraceError(f"exploration: the work failed: {future.exception()!r}")
-        outcomes += future.result()
-        progress(len(outcomes))
-    return sorted(outcomes, key=lambda outcome: outcome.number)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sending large graph")
+        # a task, not scattered: whichever process is killed, the scheduler can have it made again
+        common = client.submit(_same, shared, pure=False)
+    waiting = iter(batches)
+    running: dict[Future, tuple[Batch, int]] = {}
+    finished = as_completed(loop=client.loop)
+
+    def start(batch: Batch, killed: int = 0) -> None:
+        future = client.submit(function, common, batch, pure=False)
+        running[future] = batch, killed
+        finished.add(future)
+
+    for batch in _first(waiting, AHEAD * max(1, sum(client.ncores().values()))):
+        start(batch)
+    while running:
+        future = next(finished)
+        batch, killed = running.pop(future)
+        try:
+            result = future.result()
+        except KilledWorker as error:
+            if killed == KILLED:
+                raise RunFailed(f"the work killed its process {KILLED} times, expected no fault in it") from error
+            start(batch, killed + 1)
+            continue
+        except AbraceError:
+            raise
+        except CancelledError as error:
+            raise RunFailed("Dask scheduler lost while the work ran") from error
+        except Exception as error:
+            raise RunFailed(f"the work failed: {error!r}") from error
+        done(batch, result)
+        for following in _first(waiting, 1):
+            start(following)
 
 
-def _evaluate_all(study: Study, sets: Sequence[tuple[int, Weights]]) -> list[Outcome]:
-    return [evaluate(study, number, weights) for number, weights in sets]
+def _first(waiting: Iterator[Batch], count: int) -> list[Batch]:
+    return list(itertools.islice(waiting, count))
+
+
+def _same(value: Shared) -> Shared:
+    return value

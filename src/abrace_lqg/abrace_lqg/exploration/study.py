@@ -8,6 +8,7 @@ their own, which may differ from the one to design with.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,8 +16,9 @@ import numpy as np
 from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import takes_models
+from abrace_core.loop_extremes import Motions, loop_extremes
 from abrace_core.response import PeakRms, peak_rms_of
-from abrace_core.simulation import simulate, simulate_closed_loop
+from abrace_core.simulation import simulate
 from abrace_lqg.analysis.margins import Margins, margins
 from abrace_lqg.design import design
 from abrace_lqg.loop import sampled
@@ -54,6 +56,11 @@ class Study:
     records: tuple[Record, ...]
     zero_command: tuple[dict[str, PeakRms], ...]
     capacity: NDArray[np.float64]
+
+    @cached_property
+    def motions(self) -> Motions:
+        """The records' ground motions."""
+        return Motions.of(record.ground_acceleration for record in self.records)
 
     @classmethod
     @takes_models
@@ -157,17 +164,40 @@ def evaluate(study: Study, number: int, weights: Weights) -> Outcome:
         found = margins(plant, designed.controller)
     except AbraceError as error:
         return Outcome(number, weights, refused=str(error))
-    tables, saturated = [], 0
-    for record in study.records:
-        outputs, commands = simulate_closed_loop(
-            plant, designed.controller, record.ground_acceleration, study.capacity, designed.correction
-        )
-        names = designed.controller.outputs
-        tables.append(peak_rms_of(plant.outputs, outputs) | peak_rms_of(names, commands))
-        saturated += int(np.count_nonzero((np.abs(commands) >= study.capacity).any(axis=1)))
-    moving = [name for name in plant.outputs if all(free[name].rms > 0 for free in study.zero_command)]
+    loops = loop_extremes(plant, designed.controller, study.motions, study.capacity, designed.correction)
+    tables = [
+        {name: PeakRms(float(p), float(r)) for name, p, r in zip(loops.names, peak, rms, strict=True)}
+        for peak, rms in zip(loops.peak, loops.rms, strict=True)
+    ]
+    return judged(study, number, weights, found, tables, int(loops.saturated.sum()))
+
+
+def judged(
+    study: Study,
+    number: int,
+    weights: Weights,
+    found: Margins,
+    tables: Sequence[Mapping[str, PeakRms]],
+    saturated: int,
+) -> Outcome:
+    """The outcome of a set that gives a controller.
+
+    Parameters
+    ----------
+    study
+        Models and records.
+    number, weights
+        The set.
+    found
+        Its margins.
+    tables
+        For each record peak and rms of the responses and commands [SI units].
+    saturated
+        Samples of all records at which a command was limited.
+    """
+    moving = [name for name in study.plant.outputs if all(free[name].rms > 0 for free in study.zero_command)]
     relative = {name: _mean_ratio(name, tables, study.zero_command) for name in moving}
-    forces = [table[name] for table in tables for name in designed.controller.outputs]
+    forces = [table[name] for table in tables for name in study.plant.inputs[1:]]
     command = PeakRms(max(row.peak for row in forces), float(np.sqrt(np.mean([row.rms**2 for row in forces]))))
     return Outcome(number, weights, "", found, relative, command, saturated, tuple(tables))
 

@@ -18,11 +18,11 @@ from abrace_core.linear_model import load_covariance, load_model
 from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_core.progress import Progress
 from abrace_lqg.analysis.prediction import Excitation
-from abrace_lqg.exploration.cluster import cluster, explore
 from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motion
 from abrace_lqg.exploration.figure import trade_off
 from abrace_lqg.exploration.files import save_exploration, write_set
 from abrace_lqg.exploration.report import report
+from abrace_lqg.exploration.run import explore
 from abrace_lqg.exploration.study import Study
 from abrace_lqg.exploration.weight_sets import SPANS, weight_sets
 from abrace_lqg.scaling import scaled_weights
@@ -94,11 +94,15 @@ class Explore(AbraceNode):
             f"{len(sets)} sets of weights, {len(records)} records: {len(sets) * len(records)} closed loops", flush=True
         )
         begin = time.monotonic()
-        with cluster(given.scheduler) as client, Progress(1, sys.stdout).step("exploration") as shown:
-            outcomes = explore(
-                study, sets, client, lambda done: shown.update(done / len(sets), f"{done} of {len(sets)} sets")
-            )
         output = Path(given.output)
+        with Progress(1, sys.stdout).step("exploration") as shown:
+            outcomes = explore(
+                study,
+                sets,
+                output / "loops",
+                scheduler=given.scheduler,
+                progress=lambda done: shown.update(done / len(sets), f"{done} of {len(sets)} sets"),
+            )
         made_from = {
             "model": given.model,
             "simulation_model": given.simulation_model,

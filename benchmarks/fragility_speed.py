@@ -1,0 +1,277 @@
+"""Speed of many closed loops of the paper's rig: what `abrace fragility` does, from models to Parquet files.
+
+linear      100 000 loops of 50 000 steps: 100 models drawn about the identified one, 20 controllers, 50 noises, no
+            command at its limit
+saturating  100 000 loops of 50 000 steps, a command at its limit in every one: 25 models, 20 controllers, 50 noises, 4
+            intensities
+short       1 000 000 linear loops of 5 000 steps: 1000 models, 20 controllers, 50 noises; the process gets SIGINT when
+            half of the batches are written, and is started again
+
+The loops with zero command, one for twenty others, and the starts and ends of the processes are part of the time, not
+of the count. `kernel` is the processor time of one loop in this process, without Dask and files; `cost` the same over
+steps, states and loops. `dask_share` is what Dask and files cost: processor seconds of all processes over those of the
+plain kernel, less one.
+
+python benchmarks/fragility_speed.py [linear] [saturating] [short] [kernel] [cost] [dask]
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from simulation import ONE_THREAD, SOURCE
+
+if TYPE_CHECKING:
+    from abrace_lqg.fragility.study import FragilityStudy
+
+PERIOD, CONTROLLERS, NOISES = 0.002, 20, 50
+WEAK, STRONG = (0.3,), (8.0, 9.0, 10.0, 11.0)
+"""Peak accelerations [m/s^2] at which no loop saturates, and all do."""
+SIZES = {"linear": (100, 50_000, WEAK), "saturating": (25, 50_000, STRONG), "short": (1000, 5_000, WEAK)}
+"""Models, steps and intensities of each."""
+TURNS = 5
+
+
+def study(models: int, steps: int, intensities: tuple[float, ...], noises: int = NOISES) -> FragilityStudy:
+    """Models drawn about the rig's, controllers about LQG3, and noises."""
+    from laboratory import Laboratory
+
+    from abrace_core.controller_file import Controller
+    from abrace_core.loop_extremes import Motions
+    from abrace_core.model_ensemble import draw_models
+    from abrace_core.noise import banded_noise
+    from abrace_lqg.design import design
+    from abrace_lqg.exploration.weight_sets import weight_sets
+    from abrace_lqg.fragility.study import FragilityStudy
+    from abrace_lqg.weights import load_weights
+    from abrace_plant.rig.file import load_rig
+    from abrace_sysid.identification import identify
+
+    rig = load_rig(SOURCE / "abrace_plant/config/ncree_three_storey.yaml")
+    laboratory = Laboratory(rig)
+    found = identify(laboratory.multisine_test(True, False), laboratory.multisine_test(False, True))
+    assert found.covariance is not None
+    drawn = draw_models(found.model, found.covariance, max(1, models - 1), 0)
+    spans = {"displacement": (-0.3, 0.3), "acceleration": (-0.3, 0.3)}
+    sets = weight_sets(load_weights(SOURCE / "abrace_lqg/config/lqg3.yaml"), spans, CONTROLLERS - 1, 0)
+    designed = [design(found.reduced, weights, PERIOD) for weights in sets]
+    laws = [
+        Controller(f"set {i}", each.controller, each.correction, each.prediction, rig.capacity, "", "", "")
+        for i, each in enumerate(designed)
+    ]
+    grounds = [banded_noise(steps, 1 / PERIOD, (0.1, 10.0), 1.0, seed) for seed in range(noises)]
+    return FragilityStudy(
+        (found.model, *drawn)[:models],
+        tuple(laws),
+        (),
+        Motions.of(ground / np.abs(ground).max() for ground in grounds),
+        tuple(f"noise {seed}" for seed in range(noises)),
+        intensities,
+        (),
+        PERIOD,
+    )
+
+
+def loops_of(folder: Path) -> dict[str, int]:
+    """Closed loops among the rows of a folder, and those of them with a command at its limit."""
+    from abrace_lqg.exploration.parts import read_parts
+
+    table = read_parts(folder, ["controller", "saturated"]).to_pandas()
+    closed = table[table["controller"] != "zero command"]
+    return {"loops": len(closed), "saturated_loops": int((closed["saturated"] > 0).sum())}
+
+
+def run(which: str, folder: Path) -> None:
+    """Compute what a folder does not have yet; prints when the study is made."""
+    from abrace_lqg.exploration.run import compute_missing
+    from abrace_lqg.fragility.loops import compute_batch
+
+    given = study(*SIZES[which])
+    batches = given.batches()
+    print(len(batches), flush=True)
+    compute_missing(compute_batch, given, batches, folder)
+
+
+def in_process(which: str, folder: Path, until: float = 1.0) -> dict[str, float]:
+    """`run` as a process of its own, interrupted when this share of its files is there; seconds it took."""
+    script = Path(__file__).resolve()
+    command = [sys.executable, str(script), "run", which, str(folder)]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    begin = time.perf_counter()
+    with subprocess.Popen(command, env=os.environ | ONE_THREAD, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        count = int(process.stdout.readline())
+        made = time.perf_counter()
+        while until < 1.0 and len(list(folder.glob("part-*"))) < until * count and process.poll() is None:
+            time.sleep(0.05)
+        if until < 1.0:
+            process.send_signal(signal.SIGINT)
+            process.wait()
+    assert until < 1.0 or process.returncode == 0, process.returncode
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return {
+        "seconds": time.perf_counter() - made,
+        "study_seconds": made - begin,
+        "cpu_seconds": used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime,
+        "memory_mb": used.ru_maxrss / 1024,
+    }
+
+
+def whole(which: str) -> dict[str, Any]:
+    """One of the runs, `short` interrupted once; the study's own making (identification, designs) is not counted."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "loops"
+        turns = [in_process(which, folder, until) for until in ((0.5, 1.0) if which == "short" else (1.0,))]
+        size = sum(path.stat().st_size for path in folder.glob("part-*"))
+        return {
+            **{key: sum(turn[key] for turn in turns) for key in ("seconds", "study_seconds", "cpu_seconds")},
+            "memory_mb_of_a_process": max(turn["memory_mb"] for turn in turns),
+            "disk_mb": size / 1e6,
+            **loops_of(folder),
+        }
+
+
+def cpu_of_loops(given: FragilityStudy, loops: int) -> float:
+    """Processor milliseconds of a loop, the least of several turns of the plain kernel."""
+    from abrace_lqg.fragility.loops import compute_batch
+    from abrace_lqg.fragility.study import Case
+
+    motions = max(1, loops // len(given.intensities))
+    batch = (Case(0, 0, None, 0, motions),)
+    compute_batch(given, batch)
+    found = []
+    for _ in range(TURNS):
+        begin = time.process_time()
+        compute_batch(given, batch)
+        found.append(time.process_time() - begin)
+    return 1e3 * min(found) / (motions * len(given.intensities))
+
+
+def kernel() -> dict[str, float]:
+    """Processor milliseconds of a loop of each kind."""
+    return {
+        "linear_ms": cpu_of_loops(study(1, 50_000, WEAK), 50),
+        "saturating_ms": cpu_of_loops(study(1, 50_000, STRONG), 40),
+        "short_ms": cpu_of_loops(study(1, 5_000, WEAK), 50),
+    }
+
+
+def cost() -> dict[str, list[tuple[float, float]]]:
+    """Processor milliseconds over steps, over states, and of so many loops; drawn in results/exploration_cost.png."""
+    given = study(1, 50_000, WEAK)
+    steps: list[tuple[float, float]] = []
+    for count in (2500, 5000, 10_000, 20_000, 50_000):
+        shorter = replace(given.motions, samples=np.full(NOISES, count))
+        steps.append((count, cpu_of_loops(replace(given, motions=shorter), 10)))
+    loops = [(float(count), count * cpu_of_loops(given, count)) for count in (1, 2, 5, 10, 20, 50)]
+    states: list[tuple[float, float]] = []
+    for extra in (0, 10, 20, 40, 80):
+        states.append((extra + given.models[0].order, cpu_of_loops(replace(given, models=(_larger(given, extra),)), 5)))
+    return {"steps": steps, "loops": loops, "states": states}
+
+
+def _larger(given: FragilityStudy, extra: int) -> Any:
+    """The study's model with further states that nothing excites."""
+    model = given.models[0]
+    a = np.zeros((model.order + extra, model.order + extra))
+    a[: model.order, : model.order] = model.a
+    a[range(model.order, len(a)), range(model.order, len(a))] = -np.linspace(1.0, 50.0, extra)
+    b = np.vstack([model.b, np.zeros((extra, model.b.shape[1]))])
+    return replace(model, a=a, b=b, c=np.hstack([model.c, np.zeros((len(model.c), extra))]))
+
+
+def draw_cost(found: dict[str, list[tuple[float, float]]], workers: list[tuple[float, float]], path: Path) -> None:
+    """Cost over loops, steps, states and workers."""
+    from matplotlib.figure import Figure
+
+    from abrace_core.drawing import MEASURED, REFERENCE, save_figure
+
+    figure = Figure(figsize=(12, 3.4), layout="constrained")
+    for axis, (name, points) in zip(figure.subplots(1, 4), ({**found, "workers": workers}).items(), strict=True):
+        x, y = np.array(points).T
+        axis.loglog(x, y, "o-", color=MEASURED)
+        axis.loglog(x, y[0] * (x / x[0]) ** (-1 if name == "workers" else 1), "--", color=REFERENCE)
+        axis.set(xlabel=name, ylabel="s" if name == "workers" else "processor ms")
+        axis.grid(alpha=0.3)
+    save_figure(figure, path)
+
+
+def dask_share() -> dict[str, float]:
+    """What Dask and files cost beside the plain kernel, for batches of about a second, in one process each."""
+    from abrace_lqg.exploration.run import compute_missing
+    from abrace_lqg.fragility.loops import compute_batch
+
+    given = study(2, 50_000, WEAK)
+    batches = given.batches()
+    for batch in batches[:1]:
+        compute_batch(given, batch)
+    begin = time.process_time()
+    for batch in batches:
+        compute_batch(given, batch)
+    plain = time.process_time() - begin
+    with tempfile.TemporaryDirectory() as name:
+        spent: list[float] = []
+        times: list[float] = []
+
+        def note(_done: int, _all: int) -> None:
+            spent.append(_all_cpu())
+            times.append(time.perf_counter())
+
+        compute_missing(compute_batch, given, batches, Path(name) / "loops", workers=1, progress=note)
+    # from the first finished batch on: without the start of the process and its imports
+    per_batch = (spent[-1] - spent[1]) / (len(spent) - 2)
+    return {
+        "plain_cpu_seconds_a_batch": plain / len(batches),
+        "cpu_seconds_a_batch": per_batch,
+        "seconds_a_batch": (times[-1] - times[1]) / (len(times) - 2),
+        "dask_share": per_batch / (plain / len(batches)) - 1,
+    }
+
+
+def _all_cpu() -> float:
+    """Processor seconds of this process and of its living descendants."""
+    import psutil
+
+    processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+    return float(sum(sum(process.cpu_times()[:2]) for process in processes))
+
+
+def fragility_speed() -> dict[str, Any]:
+    """All of it, for bench.json."""
+    found: dict[str, Any] = {which: whole(which) for which in SIZES}
+    return {
+        "seconds_100000": found["linear"]["seconds"],
+        "seconds_100000_saturating": found["saturating"]["seconds"],
+        "seconds_million_short": found["short"]["seconds"],
+        "many": found,
+        "kernel": kernel(),
+        **dask_share(),
+    }
+
+
+def main() -> None:
+    """One run in this process, or what the arguments name, printed as JSON."""
+    if sys.argv[1:2] == ["run"]:
+        try:
+            run(sys.argv[2], Path(sys.argv[3]))
+        except KeyboardInterrupt:
+            sys.exit(130)
+        return
+    parts = {"kernel": kernel, "cost": cost, "dask": dask_share} | {w: lambda w=w: whole(w) for w in SIZES}
+    for name in sys.argv[1:] or parts:
+        print(json.dumps({name: parts[name]()}, indent=1), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""`abrace fragility`: how likely limits are exceeded, over the intensity of the ground motion."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+    from abrace_core.command_line import OneLineParser
+
+EXAMPLES = """examples:
+  abrace fragility results/demo/model --controller results/demo/lqg3/lqg3.yaml --record el_centro --noise 1 2 3 4 \\
+    --intensity 0.5 1 2 3 4 --limit d1=0.02 a3=4 --output results/fragility
+  ... --models 50 --fault a1=0 a3=-1 --rig ncree_three_storey    50 models, failing sensors, interlocks
+  ... --scheduler tcp://10.0.0.5:8786                            on a Dask cluster that runs already
+Interrupted, the same command goes on after the batches that are done."""
+
+
+def add_fragility_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
+    """Add `fragility` to the command's `commands`."""
+    parser = commands.add_parser(
+        "fragility",
+        help="how likely limits are exceeded: models, controllers, failing sensors, records, intensities",
+        epilog=EXAMPLES,
+    )
+    parser.add_argument("model", help="model file, an identification's folder, or a rig's name")
+    parser.add_argument(
+        "--controller", nargs="+", default=[], metavar="FILE", help="controller files; zero command is always tried"
+    )
+    parser.add_argument("--record", nargs="+", default=[], metavar="NAME", help="ground motions: known names or files")
+    parser.add_argument("--noise", nargs="+", default=[], metavar="SEED", type=int, help="banded noise of these seeds")
+    parser.add_argument("--noise-duration", type=float, default=40.0, metavar="S", help="s (40)")
+    parser.add_argument(
+        "--intensity", nargs="+", type=float, required=True, metavar="A", help="peak accelerations, m/s², rising"
+    )
+    parser.add_argument(
+        "--limit", nargs="+", required=True, metavar="NAME=VALUE", help="of x1, d1 (drift), xf, a1, f, U: m, m/s², N"
+    )
+    parser.add_argument("--models", type=int, default=1, metavar="N", help="the model and N - 1 of its covariance (1)")
+    parser.add_argument("--seed", type=int, default=0, help="of the drawn models (0)")
+    parser.add_argument(
+        "--fault", nargs="+", default=[], metavar="SENSOR=FACTOR", help="reading over truth; 0: dead, -1: turned around"
+    )
+    parser.add_argument("--rig", default="", help="whose interlocks act: a name or a file")
+    parser.add_argument(
+        "--scheduler", default="", metavar="ADDRESS", help="of a Dask cluster; else this machine's cores"
+    )
+    parser.add_argument("--workers", type=int, metavar="N", help="processes of this machine (its cores)")
+    parser.add_argument("--output", type=Path, default=Path("results/fragility"), help="folder (results/fragility)")
+
+
+def fragility_command(given: argparse.Namespace) -> None:
+    """Carry out `abrace fragility` with the arguments `given`."""
+    from abrace.interactive.fragility import fragility
+    from abrace_core.progress import Progress
+
+    limits = {name: values[-1] for name, values in _pairs("limit", given.limit).items()}
+    begin = time.monotonic()
+    with Progress(1, sys.stdout).step("fragility") as shown:
+        found = fragility(
+            given.model,
+            given.controller,
+            limits=limits,
+            intensities=given.intensity,
+            records=given.record,
+            noise=given.noise,
+            noise_duration=given.noise_duration,
+            models=given.models,
+            faults=_pairs("fault", given.fault),
+            rig=given.rig or None,
+            seed=given.seed,
+            folder=given.output,
+            scheduler=given.scheduler,
+            workers=given.workers,
+            progress=lambda done, count: shown.update(done / count, f"{done} of {count} batches"),
+        )
+    print(found.text())
+    print(f"wrote {given.output} ({time.monotonic() - begin:.1f} s)")
+
+
+def _pairs(what: str, texts: Sequence[str]) -> dict[str, list[float]]:
+    found: dict[str, list[float]] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            found.setdefault(name, []).append(float(value))
+        except ValueError as error:
+            raise AbraceError(f"--{what} {text}: expected NAME=NUMBER, such as a1=0") from error
+    return found

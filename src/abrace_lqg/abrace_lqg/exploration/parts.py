@@ -1,0 +1,133 @@
+"""Results of a long computation as a folder of Parquet files, one a batch: what is there is whole, and is kept.
+
+A file is written beside and renamed, so that a computation that was killed goes on after its last batches. Each file
+names the inputs that it was computed from, by a checksum: results of other inputs are refused, never mixed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow
+from pyarrow import parquet
+
+from abrace_core.errors import AbraceError
+from abrace_core.files import write_atomically
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+INPUTS = b"abrace_inputs"
+"""Key of the checksum among a file's metadata."""
+PATTERN = "part-*.parquet"
+
+
+class Parts:
+    """A folder of finished batches.
+
+    Parameters
+    ----------
+    folder
+        Of the files; made with the first.
+    inputs
+        Checksum of what they are computed from, as `checksum` gives it.
+    count
+        Number of batches in all.
+
+    Raises
+    ------
+    AbraceError
+        If the folder has results of other inputs.
+    """
+
+    def __init__(self, folder: Path | str, inputs: str, count: int) -> None:
+        self.folder, self.count = Path(folder), count
+        self._inputs = inputs.encode()
+        for path in self.folder.glob(PATTERN):
+            found = _metadata(path).get(INPUTS)
+            if found != self._inputs:
+                raise AbraceError(
+                    f"{path}: computed from other inputs, expected the same ones, or a folder without results"
+                )
+
+    def path(self, number: int) -> Path:
+        """Of the file of the batch with this `number`."""
+        return self.folder / f"part-{number:06d}.parquet"
+
+    def missing(self) -> list[int]:
+        """Numbers of the batches that are not there yet."""
+        return [number for number in range(self.count) if not self.path(number).exists()]
+
+    def write(self, number: int, table: pyarrow.Table) -> None:
+        """Write the `table` of the batch with this `number`; the same table gives the same bytes."""
+        named = table.replace_schema_metadata({INPUTS: self._inputs})
+        with write_atomically(self.path(number)) as temporary:
+            parquet.write_table(named, temporary, compression="zstd", compression_level=1, use_dictionary=_words(named))
+
+
+def read_parts(folder: Path | str, columns: Sequence[str] | None = None) -> pyarrow.Table:
+    """All rows of a folder of parts, in the order of the batches.
+
+    Parameters
+    ----------
+    folder
+        Of the files.
+    columns
+        Names of those that are read; None: all.
+
+    Raises
+    ------
+    AbraceError
+        If the folder has no parts, or they have no such columns.
+    """
+    paths = sorted(Path(folder).glob(PATTERN))
+    if not paths:
+        raise AbraceError(f"{folder}: no {PATTERN}, expected the folder of finished batches")
+    try:
+        return pyarrow.concat_tables(parquet.read_table(path, columns=columns) for path in paths).unify_dictionaries()
+    except (OSError, pyarrow.ArrowException) as error:
+        raise AbraceError(f"{folder}: {error}, expected finished batches of one computation") from error
+
+
+def checksum(*inputs: Any) -> str:
+    """SHA-256 of abrace's version and `inputs`: arrays, numbers, texts, and dataclasses, mappings and lists of them."""
+    found = hashlib.sha256(version("abrace_core").encode())
+    _add(found, inputs)
+    return found.hexdigest()
+
+
+def _add(found: Any, value: Any) -> None:
+    """Add a value to a hash, with what tells it from others of the same bytes."""
+    if isinstance(value, np.ndarray):
+        found.update(f"array {value.dtype.str} {value.shape}:".encode())
+        found.update(np.ascontiguousarray(value).data)
+    elif dataclasses.is_dataclass(value):
+        _add(found, {each.name: getattr(value, each.name) for each in dataclasses.fields(value)})
+    elif isinstance(value, Mapping):
+        found.update(f"mapping {len(value)}:".encode())
+        for key, each in value.items():
+            _add(found, (key, each))
+    elif isinstance(value, (tuple, list)):
+        found.update(f"list {len(value)}:".encode())
+        for each in value:
+            _add(found, each)
+    else:
+        found.update(f"{type(value).__name__} {value!r}:".encode())
+
+
+def _metadata(path: Path) -> dict[bytes, bytes]:
+    try:
+        return parquet.read_schema(path).metadata or {}
+    except (OSError, pyarrow.ArrowException) as error:
+        raise AbraceError(f"{path}: {error}, expected a Parquet file of a finished batch") from error
+
+
+def _words(table: pyarrow.Table) -> list[str]:
+    """Names of the columns of texts, which are stored as numbers of a dictionary."""
+    return [each.name for each in table.schema if pyarrow.types.is_dictionary(each.type)]

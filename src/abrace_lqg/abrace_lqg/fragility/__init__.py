@@ -1,0 +1,1 @@
+"""Fragility: takes models, controllers, sensor faults and ground motions, gives how likely limits are exceeded."""

@@ -1,0 +1,105 @@
+"""`abrace fragility` and `abrace.fragility`: from a rig's name to curves, and what is wrong in one line."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+import abrace
+from abrace.cli import main
+from abrace_core.controller_file import Controller, save_controller
+from abrace_core.linear_model import LinearModel, save_model
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PERIOD = 0.002
+RIG = "ncree_three_storey"
+
+
+@pytest.fixture
+def damper(tmp_path) -> Path:
+    law = LinearModel([[0.998]], [[PERIOD]], [[-3.0e4]], [[0.0]], ("a1",), ("U",), PERIOD)
+    path = tmp_path / "damper.yaml"
+    save_controller(Controller("damper", law, [[0.0]], [[0.0, 0.0]], [2000.0], "m", "w", "g"), path)
+    return path
+
+
+def test_from_a_rig_to_curves_and_again_without_computing(damper, tmp_path, capsys):
+    folder = tmp_path / "found"
+    given = ["fragility", RIG, "--controller", str(damper), "--record", "el_centro", "--noise", "1"]
+    given += ["--noise-duration", "4", "--intensity", "0.25", "1", "4", "--limit", "d1=0.01", "--fault", "a1=0"]
+    given += ["--rig", RIG, "--workers", "1", "--output", str(folder)]
+    assert main(given) == 0
+    first = capsys.readouterr().out
+    assert "fragility: done in" in first
+    assert "damper, a1=0: d1 above 0.01 m: median" in first
+    (part,) = (folder / "loops").glob("part-*.parquet")
+    written = part.stat().st_mtime_ns
+    again = abrace.fragility(
+        RIG,
+        [damper],
+        limits={"d1": 0.01},
+        intensities=[0.25, 1.0, 4.0],
+        records=["el_centro"],
+        noise=[1],
+        noise_duration=4.0,
+        faults={"a1": 0.0},
+        rig=RIG,
+        folder=folder,
+        scheduler="nobody",
+    )
+    assert part.stat().st_mtime_ns == written, "what is done should not have been computed again"
+    assert repr(again) == f"<Fragility: 18 loops, d1, in {folder}>"
+    loops = again.loops()
+    mine = loops[(loops.controller == "damper") & (loops.motion == "el_centro") & (loops.fault == "none")]
+    for _, row in mine[mine.interlock == "none"].iterrows():
+        model = abrace.load_rig(RIG).model
+        run = abrace.simulate(model, "el_centro", controller=damper, peak_acceleration=row.intensity)
+        assert row.peak_x3 == pytest.approx(np.abs(run.channels(["x3"])).max(), rel=1e-9)
+        assert row.peak_U == pytest.approx(np.abs(run.command).max(), rel=1e-9)
+    assert len(mine[mine.interlock == "none"]) > 1
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (["--limit", "d1"], "--limit d1: expected NAME=NUMBER, such as a1=0"),
+        (["--limit", "q1=3"], "limits q1=3: expected a value above 0 for some of x1"),
+        (["--intensity", "2", "1"], "intensities [2.0, 1.0], expected numbers above 0 that rise"),
+        (["--models", "5"], "models 5: ncree_three_storey has no covariance to draw models from"),
+        (["--fault", "a1=0"], "fault a1=0: no controller measures a1"),
+        (["--controller", "none.yaml"], "none.yaml"),
+        (["--record", "nowhere"], "nowhere"),
+        (["--scheduler", "tcp://127.0.0.1:1"], "Dask scheduler tcp://127.0.0.1:1: does not answer"),
+    ],
+)
+def test_what_is_wrong_is_one_line_and_nothing_is_written(change, expected, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = ["fragility", RIG, "--noise", "1", "--noise-duration", "2", "--intensity", "1", "--limit", "d1=0.01"]
+    assert main([*given, *change]) == 2
+    errors = capsys.readouterr().err
+    assert expected in errors
+    assert len(errors.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_models_are_drawn_from_the_covariance_in_the_model_file(tmp_path, monkeypatch):
+    from abrace.interactive import fragility as interactive
+
+    a = np.array([[-0.2, 10.0], [-10.0, -0.2]])
+    model = LinearModel(a, [[1.0, 0.0], [0.0, 1.0]], np.eye(2), np.zeros((2, 2)), ("w", "U"), ("x1", "a1"))
+    covariance = np.diag([1e-4] * 2 + [0.0] * 14)
+    path = tmp_path / "model.json"
+    save_model(model, path, covariance)
+    seen = []
+    monkeypatch.setattr(interactive, "run_study", lambda study, *_, **__: seen.append(study))
+    for _ in range(2):
+        abrace.fragility(path, limits={"x1": 1.0}, intensities=[1.0], noise=[1], models=4, folder=tmp_path / "f")
+    first, second = seen
+    assert len(first.models) == 4
+    assert np.array_equal(first.models[0].a, a)
+    assert len({float(each.a[0, 1]) for each in first.models}) == 4
+    assert all(np.array_equal(one.a, other.a) for one, other in zip(first.models, second.models, strict=True))
