@@ -11,7 +11,8 @@ PACKAGES := abrace_core abrace_bags abrace_plant abrace_sysid abrace_lqg abrace 
 # what a build copies or generates; Python modules are linked, edits to them need no build
 BUILT_FROM := $(shell find src -name package.xml -o -name 'setup.*' -o -name CMakeLists.txt -o -name '*.msg' \
   -o -name '*.action' -o -path '*/config/*.yaml' -o -path '*/launch/*.py' -o -path '*/campaigns/*.yaml' -o -path '*/scripts/abrace' \
-  -o -path '*/scripts/make_keystore' -o -path '*/config/*.xml')
+  -o -path '*/scripts/make_keystore' -o -path '*/config/*.xml' \
+  -o -path '*/abrace_bringup/viewer/*')
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/\1\t\2/' |

@@ -71,6 +71,10 @@ NODES = {
         "supervisor": "Takes `/diagnostics`; configures and activates the rig of a launch: launch.md. Ends with code "
         "1 if nodes did not find each other, or a fault or a broken-off signal came in between.",
     },
+    "abrace_bringup": {
+        "viewer": "Takes every topic that a viewer looks at, and `/diagnostics`; publishes nothing. Serves "
+        "them to Foxglove and Lichtblick, and a page to browsers: viewer.md.",
+    },
     "abrace_lqg": {
         "design": "Offline: a model and weights to a controller file.",
         "controller": "Takes `response`; publishes `brace_command`. Service `~/clear_fault`. Its "

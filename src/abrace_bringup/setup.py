@@ -11,6 +11,7 @@ setup(
         ("share/abrace_bringup", ["package.xml"]),
         ("share/abrace_bringup/launch", sorted(glob("launch/*.launch.py"))),
         ("share/abrace_bringup/config", sorted(glob("config/*.xml"))),
+        ("share/abrace_bringup/viewer", sorted(glob("viewer/*"))),
         ("lib/abrace_bringup", ["scripts/make_keystore"]),
     ],
     zip_safe=True,
@@ -22,6 +23,7 @@ setup(
         "console_scripts": [
             "closed_loop = abrace_bringup.without_launch:closed_loop",
             "identification = abrace_bringup.without_launch:identification",
+            "viewer = abrace_core.executable:main",
         ]
     },
 )

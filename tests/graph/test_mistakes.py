@@ -56,6 +56,7 @@ MODULES = [
     "abrace.cli",
     "abrace.campaign.runner",
     "abrace.nodes.operator_commands",
+    "abrace_bringup.nodes.viewer",
     *(
         f"abrace_plant.nodes.{name}"
         for name in ("plant", "ground_motion", "record", "characterize", "sensor_bridge", "emulator")
@@ -66,6 +67,7 @@ MODULES = [
 
 PLANT = "abrace_plant/plant --ros-args"
 LOOK = "abrace_plant/characterize --ros-args -p output:=o -p"
+VIEW = "abrace_bringup/viewer --ros-args -p"
 EMULATE = "abrace_plant/emulator --device device.yaml --rig"
 SHAKE = "abrace_plant/record --ros-args -p output:=o -p"
 MISTAKES = [
@@ -164,6 +166,13 @@ MISTAKES = [
     ("abrace_lqg/design --ros-args -p model:=. -p output:=o.yaml", "model file .: a folder, expected a file"),
     ("abrace report folder.yaml", "results file .*timing.json: No such file or directory"),
     # disk and network
+    (f"{VIEW} bag:=none", "none: no such bag, expected a bag directory or an MCAP file"),
+    (f"{VIEW} port:=70000", "parameter port: 70000, expected a whole number from 0 to 65535"),
+    (f"{VIEW} host:=192.0.2.1", "server: cannot listen on 192.0.2.1, port 8765: .*"),
+    (
+        f"{VIEW} host:=0.0.0.0 -p operate:=true",
+        "parameter operate: true with host 0.0.0.0, expected a host of 127.0.0.1, localhost, ::1",
+    ),
     ("abrace_bags/logger --ros-args -p output:={bag}", "bag .* exists already, expected a new directory"),
     ("abrace_bags/logger --ros-args -p output:=notes.txt/bag", "cannot write bag notes.txt/bag: Not a directory"),
     (

@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from source_tree import FLOORS, MODULES, Module, modules_of, ring
+from source_tree import FLOORS, LAUNCH_FILES, MODULES, Module, modules_of, reached, ring
 
 ROS = {"rclpy", "rcl_interfaces", "ament_index_python", "launch", "launch_ros", "abrace_interfaces"}
 
@@ -55,7 +55,6 @@ def test_rooms_of_the_plant_hardly_know_each_other():
 
 LAUNCH = "abrace_bringup.description"
 """What launch files share; the other modules of that package hold what is tested without launch."""
-WITHOUT_LAUNCH = "abrace_bringup.without_launch"
 
 
 @pytest.mark.parametrize(
@@ -68,14 +67,8 @@ def test_ros_is_imported_by_nodes_alone(name):
     assert not {other for other in found if other.endswith(("_msgs", "_srvs"))}
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in MODULES if name.startswith("abrace_bringup.") and name != WITHOUT_LAUNCH]
-)
+@pytest.mark.parametrize("name", sorted(reached(LAUNCH_FILES)))
 def test_launch_files_need_what_every_machine_with_launch_has(name):
     """They run in the system's Python, which has an older pydantic than our nodes, and no mcap."""
-    reached, new = set(), {name}
-    while new:
-        reached |= new
-        new = {other for each in new if each in MODULES for other in MODULES[each].imports} - reached
-    outside = {each.partition(".")[0] for each in reached} - set(sys.stdlib_module_names) - set(FLOORS)
+    outside = {each.partition(".")[0] for each in MODULES[name].imports} - set(sys.stdlib_module_names) - set(FLOORS)
     assert outside <= {"yaml", "launch", "launch_ros", "ament_index_python"}

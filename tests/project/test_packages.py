@@ -6,7 +6,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 
 import pytest
-from source_tree import FLOORS, ROOT, Module, modules_of, read_module, ring
+from source_tree import FLOORS, LAUNCH_FILES, ROOT, Module, modules_of, reached, read_module, ring
 
 KEYS = {
     "numpy": "python3-numpy",
@@ -30,6 +30,7 @@ FROM_PIP = {
     "plotly",
     "pymodbus",
     "rosbags",
+    "foxglove",
     "dask",
     "distributed",
     "pyarrow",
@@ -43,7 +44,12 @@ FROM_PIP = {
 }
 """Python packages that rosdep does not know, has by pip alone (which Ubuntu refuses outside an environment: rosbags,
 mcap-ros2-support), or older than abrace needs (pydantic 1): `make setup` installs them."""
-NAMES_OF_PIP = {"skrf": "scikit-rf", "mcap_ros2": "mcap-ros2-support", "Pynite": "PyNiteFEA"}
+NAMES_OF_PIP = {
+    "foxglove": "foxglove-sdk",
+    "skrf": "scikit-rf",
+    "mcap_ros2": "mcap-ros2-support",
+    "Pynite": "PyNiteFEA",
+}
 MODULES_OF_TESTS = {path.stem for folder in ("tests/support", "benchmarks") for path in (ROOT / folder).glob("*.py")}
 PACKAGES = {"abrace_interfaces", *FLOORS} - {"abrace"}
 """Named in a text they are a dependency; `abrace` is so for launch alone, else it is the name of other things."""
@@ -75,12 +81,7 @@ def test_what_is_imported_is_declared_and_nothing_else(package):
 
 def test_launch_files_import_nothing_that_only_our_environment_has():
     """`ros2 launch` runs them with the Python that ROS 2 is for, which sees what apt installs and not .venv."""
-    paths = sorted((ROOT / "src").glob("*/launch/*.py"))
-    launch_files = [read_module(path, path.stem) for path in paths]
-    packages = {path.parents[1].name for path in paths}
-    beside = [each for package in packages for each in modules_of(package) if not each.name.endswith("without_launch")]
-    imported = {name for module in launch_files + beside for name in module.imports}
-    names = {module.name for module in beside} | {name for name in imported if name.partition(".")[0] in FLOORS}
+    names = reached(LAUNCH_FILES)
     code = f"""
 import importlib, sys
 sys.modules.update(dict.fromkeys({sorted(FROM_PIP)}))

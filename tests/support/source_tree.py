@@ -66,6 +66,17 @@ def modules_of(package: str) -> list[Module]:
 
 
 MODULES = {module.name: module for package in FLOORS for module in modules_of(package)}
+LAUNCH_FILES = [read_module(path, path.stem) for path in sorted((ROOT / "src").glob("*/launch/*.py"))]
+
+
+def reached(modules: list[Module]) -> set[str]:
+    """Names of our modules that these import, directly or by others."""
+    found: set[str] = set()
+    new = {name for module in modules for name in module.imports if name in MODULES}
+    while new:
+        found |= new
+        new = {name for each in new for name in MODULES[each].imports if name in MODULES} - found
+    return found
 
 
 def ring(arrows: dict[str, set[str]]) -> list[str]:

@@ -1,0 +1,123 @@
+"""The topics of the running graph for a viewer: all are offered, those are subscribed to that somebody looks at.
+
+Streams are received with best effort: a rig never waits for a viewer, nor sends anything again for it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import rclpy
+from rosbags.interfaces import QosDurability, QosReliability
+
+from abrace_bags.nodes.raw_subscription import RawSubscription, publishers_of
+from abrace_bags.topic_choice import common_definition
+from abrace_bringup.viewing.named_channels import RESPONSE_TYPE
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+
+    from abrace_bags.topic_choice import Publisher
+    from abrace_bringup.viewing.server import ViewServer
+    from abrace_core.node import AbraceNode
+
+MOST_AT_ONCE = 1000
+"""Messages received of a topic before the others' turn."""
+
+
+class LiveTopics:
+    """Offers the topics of the graph to a server's viewers.
+
+    Parameters
+    ----------
+    node
+        That discovers them.
+    server
+        Where viewers are.
+    """
+
+    def __init__(self, node: AbraceNode, server: ViewServer) -> None:
+        self._node = node
+        self._server = server
+        self._offered: set[str] = set()
+        self._subscriptions: dict[str, RawSubscription] = {}
+        self._refused: dict[str, list[str]] = {}
+        self.rigs: list[str] = []
+        """Topics of rigs' samples, in the order in which they were found."""
+        # no executor spins it: `receive` takes the messages
+        self._input = rclpy.create_node(
+            f"_{node.get_name()}_input",
+            namespace=node.get_namespace(),
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+
+    def discover(self) -> None:
+        """Offer topics that have appeared; of a type that is not installed, or of several types, none."""
+        for name, types in sorted(self._node.get_topic_names_and_types()):
+            if "/_" in name or name in self._server.topics or self._refused.get(name) == types:
+                continue
+            if not (publishers := publishers_of(self._node, name)):
+                continue
+            try:
+                definition = common_definition(name, publishers)
+            except AbraceError as error:
+                self._refused[name] = types
+                self._node.get_logger().warning(f"{error}; it is not shown")
+                continue
+            self._server.offer(name, definition)
+            self._offered.add(name)
+            if definition.type_name == RESPONSE_TYPE:
+                self.rigs.append(name)
+
+    def subscribe(self, besides: Collection[str]) -> None:
+        """Subscribe to what viewers look at, and to the topics `besides`, and to no others."""
+        wanted = {name for name in self._offered if self._server.wanted(name)} | set(besides)
+        for name in set(self._subscriptions) - wanted:
+            self._subscriptions.pop(name).close()
+        for name in wanted:
+            publishers = [_best_effort(one) for one in publishers_of(self._node, name)]
+            if not publishers:
+                continue
+            try:
+                if name in self._subscriptions:
+                    self._subscriptions[name].follow(publishers)
+                else:
+                    self._subscriptions[name] = RawSubscription(self._input, name, publishers, keep_all=False)
+            except AbraceError as error:
+                self._node.get_logger().warning(f"{error}; it is no longer shown")
+                self._subscriptions.pop(name).close()
+
+    def receive(self, take: Callable[[str, bytes, int], None]) -> None:
+        """Send viewers the messages that have come; `take` gets each as well: topic, bytes, when it came [ns]."""
+        for name, subscription in self._subscriptions.items():
+            latched = subscription.transient_local
+            sent = self._server.wanted(name) or latched
+
+            def write(payload: bytes, received: int, _: int) -> None:
+                if sent:  # noqa: B023
+                    self._server.send(name, payload, received, latched)  # noqa: B023
+                take(name, payload, received)  # noqa: B023
+
+            subscription.receive(MOST_AT_ONCE, write)
+
+    def lost(self, name: str) -> int:
+        """Messages of a topic of this `name` that were not received."""
+        subscription = self._subscriptions.get(name)
+        return subscription.lost if subscription is not None else 0
+
+    def close(self) -> None:
+        """Leave the graph."""
+        for subscription in self._subscriptions.values():
+            subscription.close()
+        self._subscriptions.clear()
+        self._input.destroy_node()
+
+
+def _best_effort(publisher: Publisher) -> Publisher:
+    """What is asked of a `publisher`; the last messages of a transient local one come with no less than reliability."""
+    if publisher.qos.durability is QosDurability.TRANSIENT_LOCAL:
+        return publisher
+    return publisher._replace(qos=publisher.qos._replace(reliability=QosReliability.BEST_EFFORT))

@@ -1,0 +1,204 @@
+"""The building as a viewer draws it: frames of the floors, columns, and braces coloured by how much they are loaded.
+
+Floors are moved by their measured displacements relative to the table, enlarged. What stands still is in the robot
+description (`abrace_plant.rig.robot_description`), whose links these frames move.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import TYPE_CHECKING
+
+from foxglove.messages import (
+    ArrowPrimitive,
+    Color,
+    FrameTransform,
+    FrameTransforms,
+    LinePrimitive,
+    LinePrimitiveLineType,
+    Point3,
+    Pose,
+    Quaternion,
+    SceneEntity,
+    SceneUpdate,
+    TextPrimitive,
+    Timestamp,
+    Vector3,
+)
+
+from abrace_bringup.viewing.named_channels import UTILISATION
+from abrace_core.signals import load_cell_names
+from abrace_plant.rig.robot_description import PLATE, joint_names
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from abrace_plant.rig.model import BraceGroup, Rig
+
+COLUMN_PARTS = 6
+"""Straight pieces of which a bent column is drawn."""
+FULL_ARROW = 2.0
+"""Length of the arrow of a force that is the capacity [m]."""
+GREY = Color(r=0.45, g=0.5, b=0.55, a=1.0)
+FULL, HALF, NONE = (0.85, 0.1, 0.1), (0.95, 0.75, 0.1), (0.15, 0.65, 0.3)
+"""Colours of a brace at its capacity, at half of it, and without force (red, green, blue)."""
+
+
+def colour(utilisation: float) -> tuple[float, float, float]:
+    """Red, green and blue of a `utilisation`: from green over yellow at a half to red at 1 and above.
+
+    >>> colour(0.0), colour(0.5), colour(1.0) == colour(3.0)
+    ((0.15, 0.65, 0.3), (0.95, 0.75, 0.1), True)
+    """
+    share = min(max(utilisation, 0.0), 1.0) if math.isfinite(utilisation) else 1.0
+    low, high, part = (NONE, HALF, 2 * share) if share <= 0.5 else (HALF, FULL, 2 * share - 1)
+    red, green, blue = (a + part * (b - a) for a, b in zip(low, high, strict=True))
+    return red, green, blue
+
+
+class Scene:
+    """A rig's building.
+
+    Parameters
+    ----------
+    rig
+        What is drawn.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._levels = [level * rig.storey_height for level in range(rig.floors + 1)]
+        self._joints = joint_names(rig)
+
+    def frames(self, sway: Mapping[str, float], exaggeration: float, time: int) -> FrameTransforms:
+        """Where the floors are.
+
+        Parameters
+        ----------
+        sway
+            Values of a sample by their names, as `Samples.last`.
+        exaggeration
+            Times which displacements are enlarged.
+        time
+            Of the sample [ns].
+        """
+        stamp = _stamp(time)
+        places = self._places(sway, exaggeration)[1:]
+        return FrameTransforms(
+            transforms=[
+                FrameTransform(
+                    timestamp=stamp,
+                    parent_frame_id="table",
+                    child_frame_id=f"{joint}_link",
+                    translation=Vector3(x=x, y=0.0, z=z),
+                    rotation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
+                )
+                for joint, (x, z) in zip(self._joints, places, strict=True)
+            ]
+        )
+
+    def update(self, sample: Mapping[str, float], exaggeration: float, time: int) -> SceneUpdate:
+        """Columns and braces, with force and utilisation of each; arguments as `frames`.
+
+        Parameters
+        ----------
+        sample, exaggeration, time
+            As for `frames`.
+        """
+        places, stamp = self._places(sample, exaggeration), _stamp(time)
+        columns = SceneEntity(
+            timestamp=stamp,
+            frame_id="table",
+            id="columns",
+            lines=[
+                LinePrimitive(type=LinePrimitiveLineType.LineList, thickness=0.12, color=GREY, points=_columns(places))
+            ],
+        )
+        cells = iter(load_cell_names(self._rig.braces_in_group))
+        braces = [
+            self._brace(next(cells), group, number, sample, places, stamp)
+            for group in self._rig.braces
+            for number in range(group.count)
+        ]
+        return SceneUpdate(entities=[columns, *braces])
+
+    def _places(self, sample: Mapping[str, float], exaggeration: float) -> list[tuple[float, float]]:
+        """Of the table and each floor: along x as drawn, and height [m]."""
+        moved = [sample.get(f"x{floor}", 0.0) for floor in range(1, self._rig.floors + 1)]
+        x = [0.0, *(exaggeration * value if math.isfinite(value) else 0.0 for value in moved)]
+        return list(zip(x, self._levels, strict=True))
+
+    def _brace(
+        self,
+        cell: str,
+        group: BraceGroup,
+        number: int,
+        sample: Mapping[str, float],
+        places: list[tuple[float, float]],
+        stamp: Timestamp,
+    ) -> SceneEntity:
+        """A brace from the floor below to its own, an arrow of its force along it, and both numbers."""
+        (below, bottom), (above, top) = places[group.floor - 1], places[group.floor]
+        run = min((top - bottom) * group.cosine / math.sqrt(max(1 - group.cosine**2, 1e-6)), 0.95 * PLATE[0])
+        y = PLATE[1] * (0.5 if group.count == 1 else number / (group.count - 1)) - PLATE[1] / 2
+        foot, head = (below - run / 2, bottom), (above + run / 2, top)
+        middle = Vector3(x=(foot[0] + head[0]) / 2, y=y, z=(bottom + top) / 2)
+        slope = math.atan2(head[1] - foot[1], head[0] - foot[0])
+        force, utilisation = sample.get(cell, math.nan), sample.get(f"{cell}{UTILISATION}", math.nan)
+        red, green, blue = colour(utilisation)
+        paint = Color(r=red, g=green, b=blue, a=1.0)
+        length = FULL_ARROW * min(utilisation, 1.0) if math.isfinite(utilisation) else 0.0
+        return SceneEntity(
+            timestamp=stamp,
+            frame_id="table",
+            id=cell,
+            lines=[
+                LinePrimitive(
+                    type=LinePrimitiveLineType.LineStrip,
+                    thickness=0.2,
+                    color=paint,
+                    points=[Point3(x=x, y=y, z=z) for x, z in (foot, head)],
+                )
+            ],
+            arrows=[
+                ArrowPrimitive(
+                    pose=Pose(position=middle, orientation=_about_y(slope if force >= 0 else slope + math.pi)),
+                    shaft_length=length,
+                    shaft_diameter=0.3,
+                    head_length=0.4 if length else 0.0,
+                    head_diameter=0.6,
+                    color=paint,
+                )
+            ],
+            texts=[
+                TextPrimitive(
+                    pose=Pose(position=middle, orientation=_about_y(0.0)),
+                    billboard=True,
+                    font_size=0.4,
+                    color=paint,
+                    text=f"{cell} {force / 1000:.2f} kN, {100 * utilisation:.0f} %",
+                )
+            ],
+        )
+
+
+def _columns(places: list[tuple[float, float]]) -> list[Point3]:
+    """Both ends of every piece of the columns at the four corners, each clamped in both its floors."""
+    points = []
+    for (below, bottom), (above, top) in itertools.pairwise(places):
+        parts = [part / COLUMN_PARTS for part in range(COLUMN_PARTS + 1)]
+        line = [(below + (above - below) * (3 * s**2 - 2 * s**3), bottom + (top - bottom) * s) for s in parts]
+        for x, y in itertools.product((-PLATE[0] / 2, PLATE[0] / 2), (-PLATE[1] / 2, PLATE[1] / 2)):
+            for piece in itertools.pairwise(line):
+                points += [Point3(x=x + sway, y=y, z=z) for sway, z in piece]
+    return points
+
+
+def _about_y(slope: float) -> Quaternion:
+    """Turns the x axis to a `slope` [rad] in the plane of the frame."""
+    return Quaternion(x=0.0, y=-math.sin(slope / 2), z=0.0, w=math.cos(slope / 2))
+
+
+def _stamp(time: int) -> Timestamp:
+    return Timestamp(sec=time // 10**9, nsec=time % 10**9)

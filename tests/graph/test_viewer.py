@@ -1,0 +1,116 @@
+"""The viewer, as Foxglove and Lichtblick see it: a client of their protocol, over a WebSocket."""
+
+from __future__ import annotations
+
+import json
+import re
+import urllib.error
+import urllib.request
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from bag_of_run import write_bag
+from foxglove_client import FoxgloveClient
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from abrace import simulate
+from abrace_bags import message_definition
+from abrace_core.table_signals import table_noise
+from abrace_interfaces.msg import Response
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+VIEW = ("/view/channels", "/view/frames", "/view/scene")
+
+
+def started(graph: Any, **parameters: Any) -> tuple[int, str]:
+    """Start a viewer on free ports; returns its WebSocket port and where its page is."""
+    graph.start("viewer", port=0, page_port=0, **parameters)
+    line = graph.until(lambda: [line for line in graph.output_of("viewer") if "ws://" in line], "the viewer to listen")
+    page, port = re.fullmatch(r"viewer: (http://127\.0\.0\.1:\d+/) in .* ws://127\.0\.0\.1:(\d+)", line[0]).groups()
+    return int(port), page
+
+
+def test_viewers_get_the_graph_as_it_is_and_a_building_that_moves_and_may_stop_it_where_that_was_allowed(
+    graph: Any,
+) -> None:
+    graph.start("plant", command_timeout=10.0)
+    port, page = started(graph, operate=True)
+    response, plant = f"{graph.namespace}/response", f"{graph.namespace}/plant"
+    with FoxgloveClient(port) as client:
+        graph.until(lambda: {response, *VIEW} <= set(client.channels), "the topics of the graph")
+        channel = client.channels[response]
+        assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+        assert channel["schemaName"] == "abrace_interfaces/msg/Response"
+        assert channel["schema"] == message_definition("abrace_interfaces/msg/Response").text
+        graph.until_matched("plant", response=0)
+        assert graph.values("plant")["subscribers of response"] == "0", "nobody looks: nothing is received"
+
+        client.subscribe(response, *VIEW, "/view/nodes", "/robot_description", f"{graph.namespace}/robot_description")
+        graph.until(lambda: all(len(client.messages[topic]) > 20 for topic in (response, *VIEW)), "messages")
+        samples = [deserialize_message(payload, Response) for _, payload in client.messages[response]]
+        numbers = [sample.sequence for sample in samples]
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), "every sample, as it was published"
+        shown = client.json("/view/channels")
+        assert shown[0]["state"] == "running"
+        names = client.channels["/view/channels"]["schema"]
+        assert {"x1", "a3", "fb_utilisation"} <= set(json.loads(names)["properties"]) & set(shown[0])
+        by_number = {sample.sequence: sample.displacement[0] for sample in samples}
+        covered = [one for one in shown if one["sequence"] in by_number]
+        assert {one["x1"] for one in covered} & set(by_number.values()), "measured values, none in between"
+        for topic in ("/robot_description", f"{graph.namespace}/robot_description"):
+            graph.until(lambda topic=topic: client.messages[topic], "the robot description")
+            (_, payload) = client.messages[topic][0]
+            assert deserialize_message(payload, String).data.startswith('<?xml version="1.0"?>\n<robot name="ncree')
+        graph.until(lambda: plant in str(client.json("/view/nodes")[-1:]), "the state of the rig")
+
+        expect_operations(graph, client, plant)
+    with urllib.request.urlopen(page) as answer:
+        assert b"<canvas" in answer.read()
+    with urllib.request.urlopen(f"{page}rig.json") as answer:
+        assert json.load(answer)["port"] == port
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        urllib.request.urlopen(f"{page}../etc/passwd")
+    assert graph.stop("viewer") == 0
+
+
+def expect_operations(graph: Any, client: FoxgloveClient, plant: str) -> None:
+    """Parameters are read and set, the rig is stopped, and asked to clear it."""
+    client.send({"op": "getParameters", "parameterNames": [f"{plant}.rig"], "id": "look"})
+    graph.until(lambda: client.said["parameterValues"], "parameters")
+    (found,) = client.said["parameterValues"][0]["parameters"]
+    assert (found["name"], found["value"]) == (f"{plant}.rig", "ncree_three_storey")
+    graph.until(lambda: f"{plant}/clear_fault" in client.services, "services")
+    call = client.call("/view/stop", b"\x00\x01\x00\x00\x00")
+    graph.until_fault("plant", "protective stop: pressed by ")
+    graph.until(lambda: call in client.answers or client.said["serviceCallFailure"], "an answer of the viewer")
+    assert not client.said["serviceCallFailure"]
+    assert deserialize_message(client.answers[call], Trigger.Response).success
+
+    call = client.call(f"{plant}/clear_fault", b"\x00\x01\x00\x00\x00")
+    graph.until(lambda: call in client.answers, "an answer of the rig")
+    answer = deserialize_message(client.answers[call], Trigger.Response)
+    assert not answer.success, "the stop is still pressed"
+    assert "pressed" in answer.message
+    faults = {"name": f"{plant}.sensor_faults", "value": ["a1=zero"]}
+    client.send({"op": "setParameters", "parameters": [faults], "id": "set"})
+    graph.until(lambda: faults in client.said["parameterValues"][-1]["parameters"], "the parameter to be set")
+
+
+def test_a_bag_is_played_to_viewers_and_no_peak_of_it_is_hidden(graph: Any, tmp_path: Path) -> None:
+    run = simulate("ncree_three_storey", table_noise(1000, 500.0, (0.5, 10.0), 0.3, 1))
+    write_bag(run, tmp_path / "noise")
+    port, _ = started(graph, bag=str(tmp_path / "noise"), rate=4.0)
+    with FoxgloveClient(port) as client:
+        graph.until(lambda: {"/response", *VIEW} <= set(client.channels), "the topics of the bag")
+        assert client.said["serverInfo"][0]["capabilities"] == ["time"], "nothing to set, nothing to call"
+        client.subscribe(*VIEW)
+        graph.until(lambda: len(client.said["serverInfo"]) > 2, "the third round of the bag")
+        for name, values in zip(run.names, run.outputs.T, strict=True):
+            shown = [message[name] for message in client.json("/view/channels")]
+            np.testing.assert_allclose([min(shown), max(shown)], [values.min(), values.max()], err_msg=name)
+    assert graph.stop("viewer") == 0
