@@ -19,23 +19,24 @@ PAGE = Path(__file__).parent / "nodes.md"
 
 INTRODUCTION = """# Nodes
 
-Written by `python docs/write_nodes.py` from the tables in the nodes' source: what a node declares is what stands here.
-With `--help` a node prints an example, its parameters and what they may be, with `--version` which abrace it is of.
+Written by `python docs/write_nodes.py` from the parameter tables in the nodes' source.
+With `--help` a node prints an example and its parameters with their allowed values, with `--version` abrace's version.
 
 Every node publishes its state on `/diagnostics`, once a second and when it changes, where `rqt_robot_monitor` and
-`diagnostic_aggregator` look for it. A status has the node's full name (`rig/plant: state`) and the namespace as
-hardware ID: several rigs can be told apart. A fault is logged as well, when it comes and when it is cleared, on the
-terminal and on `/rosout`, with what to do about it.
+`diagnostic_aggregator` expect it. A status has the node's full name (`rig/plant: state`) and the namespace as
+hardware ID, so that several rigs can be distinguished. A fault is also logged, when it occurs and when it is cleared,
+on the terminal and on `/rosout`, with what to do about it.
 
 All other topic names are relative: they can be remapped and put in a namespace. A wrong parameter ends the node with
-one line and exit code 2. Parameters are read once, when the node starts, but for those marked *live*. Parameters that
-are set together are all accepted or all refused. An empty list is `[]`; where a tool can't pass one, `['']` is the
-same. `duration:=10` is taken for `10.0`; in a list all numbers are written alike, `[1.0, 2.5]`. A life cycle node moves
-something, and does so only while it is active. Two nodes of one name in one namespace take each other's commands: each
-logs that it is not alone.
+one line and exit code 2. Parameters are read once, when the node starts, except those marked *live*. Parameters that
+are set together are all accepted or all refused. An empty list is `[]`; for tools that cannot pass one, `['']` is the
+same. `duration:=10` is read as `10.0`; numbers in a list must be all of one type, `[1.0, 2.5]`. A life cycle node moves
+something, and does so only while it is active. Two nodes of the same name in the same namespace receive each other's
+commands: each logs that it is not alone.
 
 In lockstep the rig publishes its time on `clock` in its own namespace, so that no rig changes another's time. Tools
-with `use_sim_time` take it by `-r /clock:=/rig/clock`; for one rig alone, give `-r clock:=/clock` to the plant.
+with `use_sim_time` receive it by `-r /clock:=/rig/clock`; if there is only one rig, give `-r clock:=/clock` to the
+plant.
 """
 
 NODES = {
@@ -43,33 +44,35 @@ NODES = {
         "plant": "Takes `brace_command`, `ground_motion`, `emergency_stop`, `/emergency_stop`; publishes `response`, "
         "`joint_states`, `robot_description`, in lockstep `clock` (rosgraph_msgs/Clock). Service `~/clear_fault` "
         "(std_srvs/Trigger).",
-        "sensor_bridge": "Takes and publishes what `plant` does, but for `clock`. Services `~/clear_fault`, "
+        "sensor_bridge": "Takes and publishes the same as `plant`, except `clock`. Services `~/clear_fault`, "
         "`~/zero_sensors` (std_srvs/Trigger): bridge.md.",
         "ground_motion": "Takes `response`; publishes `ground_motion`. Action `play_ground_motion`, service "
         "`~/clear_fault`.",
-        "record": "Offline: what a record holds and what would be played of it, in numbers and drawn.",
+        "record": "Offline: a record as read and as it would be played, as numbers and a figure.",
         "robot_description": "Offline: prints a rig's robot description (URDF).",
         "check_sensors": "Offline: mean, noise, range use and drift of each channel; names those that are dead, "
-        "clipped, noisy, swapped, or have the wrong sign or gain (bridge.md). Ends with code 1 where one is.",
-        "jitter": "Offline: takes `response` of a running rig; in numbers and drawn: real_time.md.",
-        "characterize": "Offline: a rig measured as the paper measured its building, in numbers and drawn.",
+        "clipped, noisy, swapped, or have the wrong sign or gain (bridge.md). Ends with code 1 if there is one.",
+        "jitter": "Takes `response` of a running rig; writes numbers and a figure: real_time.md.",
+        "characterize": "Offline: measures a rig as the paper measured its building; writes numbers and a figure.",
     },
     "abrace_bags": {
         "logger": "Takes the topics that it records. Services `~/start`, `~/stop`, `~/pause`, `~/resume`, `~/split`, "
         "`~/snapshot` (all std_srvs/Trigger): bags.md.",
         "replay": "Publishes the topics of a bag. Services `~/pause` (std_srvs/SetBool), `~/step` (std_srvs/Trigger): "
         "replay.md.",
-        "recover": "Offline: says what is missing, topic by topic: bags.md.",
+        "recover": "Offline: writes what can be read of a damaged bag, and reports what is missing, topic by topic: "
+        "bags.md.",
     },
     "abrace_sysid": {
-        "ambient": "Offline: bags without commands to modes with intervals; has the building changed (ambient.md).",
+        "ambient": "Offline: bags without commands to modes with intervals; reports whether the building has changed "
+        "(ambient.md).",
         "excitation": "Takes `response`; publishes `brace_command`. Service `~/clear_fault`.",
         "identify": "Offline: bags, or measured data, to models, poles and figures.",
         "validate": "Offline: a bag against its simulation by a model.",
     },
     "abrace": {
         "supervisor": "Takes `/diagnostics`; configures and activates the rig of a launch: launch.md. Ends with code "
-        "1 if nodes did not find each other, or a fault or a broken-off signal came in between.",
+        "1 if nodes did not find each other, there was a fault, or a signal was interrupted.",
     },
     "abrace_bringup": {
         "viewer": "Takes every topic that a viewer looks at, and `/diagnostics`; publishes nothing. Serves "

@@ -13,7 +13,7 @@ PACKAGE = Path(abrace_bags.__file__).parent
 
 
 def module_path(name: str) -> Path | None:
-    """File of a module of the package; None for a room and for other packages."""
+    """File of a module of the package; None for a subpackage and for other packages."""
     path = PACKAGE.joinpath(*name.split(".")[1:]).with_suffix(".py")
     return path if name.startswith("abrace_bags.") and path.is_file() else None
 

@@ -1,4 +1,4 @@
-"""Which mistakes of a unit are told: what docs/rig.md says about it is checked here, key by key."""
+"""Which wrong units are detected: what docs/rig.md says about it is checked here, key by key."""
 
 from collections.abc import Iterator
 from copy import deepcopy
@@ -153,39 +153,39 @@ def test_sensible_rigs_of_other_kinds_are_accepted(tmp_path, masses, height, sti
     assert refusal(written, tmp_path) == ""
 
 
-# --- and a mistake is told -------------------------------------------------------------------------------------------
+# --- and a mistake is detected ------------------------------------------------------------------------------------
 
 
 def documented() -> dict[str, list[str]]:
-    """The table of docs/rig.md: for each key, which factors are told."""
+    """The table of docs/rig.md: for each key, which factors are detected."""
     table = (ROOT / "docs/rig.md").read_text().partition("| key | times 1000 |")[2].partition("\n\n")[0]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
     return {key.strip(" `"): verdicts for keys, *verdicts in rows for key in keys.split(",")}
 
 
-def test_the_page_says_which_mistakes_are_told_in_the_rigs_of_the_folder(tmp_path):
-    told: dict[str, list[list[bool]]] = {}
+def test_the_page_says_which_mistakes_are_detected_in_the_rigs_of_the_folder(tmp_path):
+    detected: dict[str, list[list[bool]]] = {}
     for name, written in RIGS.items():
         for path in quantities(written):
             if name == AS_IT_IS and key_of(path) in KEYS:
                 continue
-            verdicts = told.setdefault(key_of(path), [[] for _ in FACTORS])
+            verdicts = detected.setdefault(key_of(path), [[] for _ in FACTORS])
             for verdict, factor in zip(verdicts, FACTORS, strict=True):
                 verdict.append(bool(refusal(mistaken(written, path, factor), tmp_path)))
     words = {
-        key: ["told" if all(each) else "some" if any(each) else "no" for each in verdicts]
-        for key, verdicts in told.items()
+        key: ["yes" if all(each) else "some" if any(each) else "no" for each in verdicts]
+        for key, verdicts in detected.items()
     }
     assert documented() == words
 
 
 @settings(REPEATED, max_examples=8)
 @given(**SCALES)
-def test_what_is_told_by_1000_is_told_at_any_scale(tmp_path, length, density, acceleration):
-    written, told = similar(length, density, acceleration), documented()
+def test_what_is_detected_by_1000_is_detected_at_any_scale(tmp_path, length, density, acceleration):
+    written, detected = similar(length, density, acceleration), documented()
     for path in quantities(written):
-        for factor, verdict in zip(FACTORS[:2], told[key_of(path)], strict=False):
-            if verdict == "told":
+        for factor, verdict in zip(FACTORS[:2], detected[key_of(path)], strict=False):
+            if verdict == "yes":
                 assert refusal(mistaken(written, path, factor), tmp_path), f"{key_of(path)} times {factor}"
 
 
@@ -222,12 +222,12 @@ def test_the_message_names_key_value_range_and_the_likely_unit(tmp_path, path, f
 @pytest.mark.parametrize("kind", ["masses", "storey_stiffness"])
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
 @pytest.mark.parametrize("floor", range(5))
-def test_a_single_floor_in_another_unit_is_told_by_its_own_key(tmp_path, kind, factor, floor):
+def test_a_single_floor_in_another_unit_is_detected_by_its_own_key(tmp_path, kind, factor, floor):
     written = mistaken(RIGS["five_storey"], ("building", kind, floor), factor)
     assert refusal(written, tmp_path).startswith(f"building.{kind}.{floor}: ")
 
 
-def test_masses_in_t_and_stiffnesses_in_kilonewtons_are_told_together(tmp_path):
+def test_masses_in_t_and_stiffnesses_in_kilonewtons_are_detected_together(tmp_path):
     written = mistaken(mistaken(PAPERS, ("building", "masses"), 1e-3), ("building", "stiffness"), 1e-3)
     message = refusal(written, tmp_path)
     assert message.startswith("building.masses: 11.2204 kg, expected ")

@@ -1,4 +1,4 @@
-"""CONTRIBUTING names floors, rooms and modules that exist, and every room."""
+"""CONTRIBUTING names layers, subpackages and modules that exist, and all of them."""
 
 import re
 
@@ -17,7 +17,7 @@ PATHS = sorted(
 FILES = [str(path.relative_to(ROOT)) for path in ROOT.glob("src/*/*/**/*") if "__pycache__" not in path.parts]
 
 
-def rooms() -> set[str]:
+def subpackages() -> set[str]:
     folders = {
         module.path.parent for module in MODULES.values() if module.path.parent.parent.parent.parent == ROOT / "src"
     }
@@ -30,16 +30,16 @@ def test_what_is_named_exists(path):
     assert (ROOT / path).exists() or any(file.endswith(inside) for file in FILES), path
 
 
-def test_every_floor_and_every_room_is_named():
-    floors = re.findall(r"^\| (\d) \| `(\w+)` \|", PAGE, re.MULTILINE)
-    assert {package: int(floor) for floor, package in floors} == FLOORS
-    table = PAGE.partition("## Rooms")[2].partition("## Where it goes")[0]
-    assert set(re.findall(r"`(\w+/\w+)`", table)) == rooms()
+def test_every_layer_and_every_subpackage_is_named():
+    layers = re.findall(r"^\| (\d) \| `(\w+)` \|", PAGE, re.MULTILINE)
+    assert {package: int(layer) for layer, package in layers} == FLOORS
+    table = PAGE.partition("## Subpackages")[2].partition("## Where it goes")[0]
+    assert set(re.findall(r"`(\w+/\w+)`", table)) == subpackages()
 
 
 @pytest.mark.parametrize(
     "module", [module for module in MODULES.values() if module.path.name == "__init__.py"], ids=str
 )
-def test_every_room_says_what_it_is_for(module):
+def test_every_subpackage_says_what_it_is_for(module):
     text = module.path.read_text(encoding="utf-8")
     assert text.startswith('"""'), f"{module.path} has no docstring"

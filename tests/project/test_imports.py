@@ -1,4 +1,4 @@
-"""Imports run down the floors and never in a ring, neither of modules nor of rooms; only nodes import ROS."""
+"""Imports go from higher to lower layers, without cycles of modules or subpackages; only nodes import ROS."""
 
 import sys
 
@@ -19,14 +19,14 @@ def test_a_ring_is_found_and_named():
 
 
 @pytest.mark.parametrize("package", FLOORS)
-def test_a_package_imports_lower_floors_alone(package):
+def test_a_package_imports_only_lower_layers(package):
     for module in modules_of(package):
         for other in {name.partition(".")[0] for name in module.imports} & set(FLOORS) - {package}:
             assert FLOORS[other] < FLOORS[package], f"{module.name} imports {other}"
 
 
 def test_no_ring_of_modules():
-    # `from room import name` runs the room's __init__ first, which a module of that room does not import itself
+    # `from subpackage import name` runs its __init__ first, which a module of that subpackage does not import itself
     arrows = {
         name: {other for other in imported_modules(module) if not name.startswith(f"{other}.")}
         for name, module in MODULES.items()
@@ -34,21 +34,21 @@ def test_no_ring_of_modules():
     assert not ring(arrows), " -> ".join(ring(arrows))
 
 
-def test_no_ring_of_rooms():
+def test_no_ring_of_subpackages():
     arrows: dict[str, set[str]] = {}
     for module in MODULES.values():
-        others = {MODULES[name].room for name in imported_modules(module)} - {module.room, module.package}
-        arrows.setdefault(module.room, set()).update(others)
+        others = {MODULES[name].subpackage for name in imported_modules(module)} - {module.subpackage, module.package}
+        arrows.setdefault(module.subpackage, set()).update(others)
     assert not ring(arrows), " -> ".join(ring(arrows))
 
 
-def test_rooms_of_the_plant_hardly_know_each_other():
-    rooms = {f"abrace_plant.{room}" for room in ("rig", "records", "live")}
+def test_subpackages_of_the_plant_hardly_import_each_other():
+    subpackages = {f"abrace_plant.{subpackage}" for subpackage in ("rig", "records", "live")}
     crossing = [
         (module.name, name)
         for module in modules_of("abrace_plant")
         for name in imported_modules(module)
-        if module.room in rooms and MODULES[name].room in rooms - {module.room}
+        if module.subpackage in subpackages and MODULES[name].subpackage in subpackages - {module.subpackage}
     ]
     assert len(crossing) <= 4, crossing
 

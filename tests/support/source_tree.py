@@ -16,7 +16,7 @@ FLOORS = {
     "abrace": 4,
     "abrace_bringup": 5,
 }
-"""A package imports itself and packages of lower floors, never one of its own floor."""
+"""A package imports itself and packages of lower layers, never one of its own layer."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Module:
         return self.name.partition(".")[0]
 
     @property
-    def room(self) -> str:
-        """The folder that the module is in; a module at the top of its package is a room of its own."""
+    def subpackage(self) -> str:
+        """The folder that the module is in; a module at the top of its package is a subpackage of its own."""
         parts = self.name.split(".")
         return ".".join(parts[:2])
 
