@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -eo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup same-ros tools demo docs lint test test-libraries test-sourced verify bench soak clean
+.PHONY: help setup same-ros tools demo docs reference lint test test-libraries test-sourced verify bench soak clean
 
 ENVIRONMENT := source ros2_ws/setup.bash
 TEST_LIBRARIES := python -m pytest --numprocesses auto --dist loadscope --ignore tests/graph
@@ -54,6 +54,10 @@ demo: setup  ## the paper, live: tests, model, controller, earthquake, table (re
 docs: tools .venv/.docs  ## the documentation as a site: docs/site/index.html
 	@$(ENVIRONMENT)
 	python -m sphinx --quiet --fail-on-warning --keep-going -j auto -b dirhtml docs docs/site
+
+reference: setup  ## write the pages of docs anew that are made from the code (docs/write_*.py)
+	@$(ENVIRONMENT)
+	for page in docs/write_*.py; do python "$$page"; done
 
 lint: tools  ## ruff and mypy (its types are those of NumPy 2: not where ROS 2 is sourced)
 	@$(ENVIRONMENT)

@@ -109,21 +109,24 @@ def row(parameter: Parameter) -> str:
     return f"| `{parameter.name}` | {kind} | {default} | {allowed} | {description} |"
 
 
+def parameters(package: str, name: str) -> list[Parameter]:
+    """The parameters of a node, those of its kind included."""
+    module = importlib.import_module(f"{package}.nodes.{name}")
+    found, table = node_class(module), list(module.PARAMETERS)
+    if issubclass(found, RigNode):
+        table = [*RIG_PARAMETERS, *table]
+    if issubclass(found, BraceCommander):
+        table.append(RATE_LIMIT)
+    return [*table, *real_time.PARAMETERS, AUTOSTART] if issubclass(found, AbraceLifecycleNode) else table
+
+
 def page() -> str:
     """The whole page."""
     parts = [INTRODUCTION]
     for package, nodes in NODES.items():
         for name, topics in nodes.items():
             module = importlib.import_module(f"{package}.nodes.{name}")
-            found = node_class(module)
-            table = list(module.PARAMETERS)
-            if issubclass(found, RigNode):
-                table = [*RIG_PARAMETERS, *table]
-            if issubclass(found, BraceCommander):
-                table.append(RATE_LIMIT)
-            lifecycle = issubclass(found, AbraceLifecycleNode)
-            if lifecycle:
-                table += [*real_time.PARAMETERS, AUTOSTART]
+            lifecycle = issubclass(node_class(module), AbraceLifecycleNode)
             summary = (module.__doc__ or "").split("\n\n")[0].partition(": ")[2].replace("\n", " ")
             parts.append(f"## {name}\n")
             parts.append(f"`abrace run {package} {name}`{' (life cycle node)' if lifecycle else ''}: {summary}\n")
@@ -131,7 +134,7 @@ def page() -> str:
             example = next(line for line in (module.__doc__ or "").splitlines() if line.startswith("abrace run "))
             parts.append(f"For example `{example}`\n")
             parts.append("| parameter | type | default | allowed | what it is |\n|---|---|---|---|---|")
-            parts.append("\n".join(row(parameter) for parameter in table) + "\n")
+            parts.append("\n".join(row(parameter) for parameter in parameters(package, name)) + "\n")
     return "\n".join(parts)
 
 

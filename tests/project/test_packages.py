@@ -50,7 +50,9 @@ NAMES_OF_PIP = {
     "mcap_ros2": "mcap-ros2-support",
     "Pynite": "PyNiteFEA",
 }
-MODULES_OF_TESTS = {path.stem for folder in ("tests/support", "benchmarks") for path in (ROOT / folder).glob("*.py")}
+MODULES_OF_TESTS = {
+    path.stem for folder in ("tests/support", "benchmarks", "docs") for path in (ROOT / folder).glob("*.py")
+}
 PACKAGES = {"abrace_interfaces", *FLOORS} - {"abrace"}
 """Named in a text they are a dependency; `abrace` is so for launch alone, else it is the name of other things."""
 

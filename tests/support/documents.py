@@ -1,0 +1,93 @@
+"""The documents: their pages, code blocks, commands and headings, for tests that check and run what they say."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+"""Every page that people read."""
+GENERATED = [path.stem.removeprefix("write_") for path in sorted((ROOT / "docs").glob("write_*.py"))]
+"""Pages made from the code, by docs/write_NAME.py."""
+HEADS = ("abrace", "ros2", "make", "python", "source")
+"""First words of commands that are checked."""
+
+
+class Block(NamedTuple):
+    """A code block: what its fence says (empty: nothing, or an indented block), and its lines."""
+
+    language: str
+    text: str
+
+    @property
+    def name(self) -> str:
+        """Of the file that it is, as its first line says (`# my_rig.yaml`); empty: of none."""
+        found = re.match(r"# (\S+\.(?:yaml|py))\n", self.text)
+        return found[1] if found else ""
+
+
+@cache
+def blocks(page: Path) -> list[Block]:
+    """The code blocks of a page, fenced and indented, in their order."""
+    found, lines = [], iter(page.read_text(encoding="utf-8").splitlines())
+    indented: list[str] = []
+    after_empty = True
+    for line in lines:
+        fence = re.match(r" *```(\S*)", line)
+        if fence:
+            inside = []
+            for each in lines:
+                if each.strip() == "```":
+                    break
+                inside.append(each)
+            found.append(Block(fence[1], textwrap.dedent("\n".join([*inside, ""]))))
+        elif line.startswith("    ") and (after_empty or indented):
+            indented.append(line)
+        elif line.strip() or not indented:
+            _end(indented, found)
+        else:
+            indented.append("")
+        after_empty = not line.strip()
+    _end(indented, found)
+    return found
+
+
+def _end(indented: list[str], found: list[Block]) -> None:
+    """The indented block, if there is one, is over."""
+    if indented:
+        found.append(Block("", textwrap.dedent("\n".join([*indented, ""]))))
+        indented.clear()
+
+
+def commands(page: Path) -> list[str]:
+    """The commands in the blocks of a page, comments behind them left out; one over several lines is one."""
+    found = []
+    for block in blocks(page):
+        if block.language in ("", "bash"):
+            joined = re.sub(r"\\\n\s*", "", block.text)
+            lines = (re.split(r"\s+#\s", line)[0].strip() for line in joined.splitlines())
+            found += [line for line in lines if line.split(" ")[0] in HEADS]
+    return found
+
+
+def inline_commands(page: Path) -> list[str]:
+    """The commands in the sentences of a page."""
+    sentences = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return [
+        " ".join(text.split())
+        for text in re.findall(r"`([^`]+)`", sentences)
+        if re.match(rf"({'|'.join(HEADS[:4])}) \S", " ".join(text.split()))
+    ]
+
+
+@cache
+def anchors(page: Path) -> set[str]:
+    """What a link to a heading of the page may say behind its #."""
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    headings = re.findall(r"^#{1,4} (.+)$", text, re.MULTILINE)
+    plain = (re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).lower() for heading in headings)
+    return {re.sub(r"[^\w\- ]", "", heading).replace(" ", "-") for heading in plain}
