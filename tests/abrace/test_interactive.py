@@ -20,6 +20,7 @@ import abrace
 ROOT = Path(__file__).parents[2]
 RIG = "ncree_three_storey"
 NOTEBOOK, PAGE = ROOT / "docs/from_bag_to_controller.ipynb", ROOT / "docs/python.md"
+TUTORIAL = ROOT / "docs/paper.md"
 WITHOUT_ROS = """
 import ast, pickle, sys
 
@@ -36,13 +37,13 @@ write_bag(abrace.simulate("ncree_three_storey", "white_noise", duration=64.0), "
 write_bag(abrace.simulate("ncree_three_storey", command="white_noise", duration=64.0), "bags/command_noise")
 names, done = {}, set()
 for statement in ast.parse(open("code.py").read()).body:
-    if ast.dump(statement) not in done:  # the page begins as the notebook does
+    if ast.dump(statement) not in done:  # the pages begin as the notebook does
         exec(compile(ast.Module([statement], []), "code.py", "exec"), names)
     done.add(ast.dump(statement))
 kept = ("run", "found", "designed", "free", "controlled", "modes", "peaks", "check")
 pickle.dump({name: names[name] for name in kept}, open("names.pickle", "wb"))
 """
-"""Makes the bags of the notebook, runs it and the page where nothing of ROS can be imported, and leaves its names."""
+"""Makes the bags of the notebook, runs it and the pages where nothing of ROS can be imported, and leaves its names."""
 
 
 def code_of_notebook() -> list[str]:
@@ -55,12 +56,15 @@ def code_of_notebook() -> list[str]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Where the notebook was run, and then the page."""
+    """Where the notebook was run, then the page and the tutorial on the paper."""
     folder = tmp_path_factory.mktemp("laboratory")
-    page = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    (folder / "code.py").write_text("\n".join([*code_of_notebook(), *page]))
+    pages = [
+        code for page in (PAGE, TUTORIAL) for code in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
+    ]
+    (folder / "code.py").write_text("\n".join([*code_of_notebook(), *pages]))
     ran = subprocess.run([sys.executable, "-c", WITHOUT_ROS], cwd=folder, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
+    (folder / "printed.txt").write_text(ran.stdout)
     return folder
 
 
@@ -215,6 +219,12 @@ def test_the_page_runs_where_there_is_no_ros(notebook, folder):
     found = notebook["modes"].to_pandas()["frequency [Hz]"]
     assert found.tolist() == pytest.approx([1.17186, 3.64993, 6.04221], rel=1e-3)
     assert (folder / "validity.png").stat().st_size > 10_000
+
+
+def test_the_tutorial_on_the_paper_runs_where_there_is_no_ros(folder):
+    printed = (folder / "printed.txt").read_text()
+    assert "x3: " in printed
+    assert ", the paper's experiment 2.488 cm" in printed
 
 
 def test_the_page_has_every_function_with_its_arguments():

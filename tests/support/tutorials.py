@@ -1,0 +1,70 @@
+"""Tutorials, followed: a page's files are written into a folder and its commands are given there; no more is known."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+from documents import ROOT, blocks
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+    from pathlib import Path
+
+LINE = re.compile(r"(?:abrace|python|cp) |\w+=\$\(")
+"""Lines of a block that are given to the shell."""
+NEEDS_A_TERMINAL = ("abrace status", "abrace stop", "abrace clear")
+"""Commands for a second terminal while a test runs: `tests/graph/test_operator_commands.py` gives them."""
+
+
+def page(name: str) -> Path:
+    """The page of a tutorial."""
+    return ROOT / f"docs/{name}.md"
+
+
+def write_files(name: str, folder: Path) -> list[str]:
+    """Write the files of a tutorial into a `folder`; returns their names."""
+    named = [block for block in blocks(page(name)) if block.name]
+    for block in named:
+        (folder / block.name).write_text(block.text, encoding="utf-8")
+    return [block.name for block in named]
+
+
+def lines(name: str) -> list[str]:
+    """The lines that a tutorial has one give to the shell, in their order."""
+    shown = (line.strip() for block in blocks(page(name)) if not block.language for line in block.text.splitlines())
+    return [line for line in shown if LINE.match(line) and not line.startswith(NEEDS_A_TERMINAL)]
+
+
+def python(name: str) -> str:
+    """The Python of a tutorial that belongs to no file, as one program."""
+    return "\n".join(block.text for block in blocks(page(name)) if block.language == "python" and not block.name)
+
+
+def follow(name: str, folder: Path, without: Collection[str] = ()) -> dict[str, str]:
+    """What each line of a tutorial prints in a `folder`, but for those `without`; then its Python is run.
+
+    Raises
+    ------
+    RuntimeError
+        If a line, or the Python, does not end with 0.
+    """
+    write_files(name, folder)
+    printed, set_before = {}, []
+    for line in lines(name):
+        if re.match(r"\w+=", line):
+            set_before.append(line)
+        elif line not in without:
+            printed[line] = _ended(["bash", "-ec", "\n".join([*set_before, line])], folder)
+    if program := python(name):
+        printed["python"] = _ended([sys.executable, "-c", program], folder)
+    return printed
+
+
+def _ended(command: list[str], folder: Path) -> str:
+    ended = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if ended.returncode:
+        raise RuntimeError(f"{command[-1]}\n{ended.stdout}{ended.stderr}")
+    return ended.stdout
