@@ -1,0 +1,41 @@
+"""Links between pages lead to a page, a file or a heading that is there."""
+
+import re
+
+import pytest
+from documents import PAGES, ROOT, anchors
+
+LINK = re.compile(r"\]\(([^)#\s]*)(#[^)\s]+)?\)")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files_and_headings_that_are_there(page):
+    wrong = []
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target, anchor in LINK.findall(text):
+        if target.startswith("http"):
+            continue
+        path = page.parent / target if target else page
+        if not path.exists() or (anchor and path.suffix == ".md" and anchor[1:] not in anchors(path)):
+            wrong.append(target + anchor)
+    assert not wrong, f"{page.name}: {wrong}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_what_is_cited_is_in_the_references(page):
+    """`Moore 1981`, `McKelvey and Guerin 2012`, `Berg and Housner, 1961`: the first author and the year."""
+    listed = (ROOT / "docs/references.md").read_text(encoding="utf-8").replace("é", "e").split("\n- ")
+    text = page.read_text(encoding="utf-8").replace("é", "e")
+    text = re.sub(r"```.*?```", "", text, flags=re.DOTALL).partition("## References")[0]
+    authors = r"([A-Z][a-zö-]{2,})(?:,? [A-Z][\w-]+)*(?:,? and (?:De )?[A-Z][\w-]+| et al\.)?"
+    cited = re.findall(rf"\b{authors},? (?:\()?((?:19|20)\d\d)\)?(?=[);,:]| [a-z])", " ".join(text.split()))
+    missing = {
+        f"{author} {year}"
+        for author, year in cited
+        if author not in NO_AUTHORS and not any(author in entry and year in entry for entry in listed)
+    }
+    assert not missing, f"{page.name}: {sorted(missing)} not in docs/references.md"
+
+
+NO_AUTHORS = {"Centro", "Kobe", "Corralitos", "Sylmar", "Dam", "Pacoima", "Jazzy"}
+"""Words before a year that are no author's."""
