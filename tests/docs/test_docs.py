@@ -4,6 +4,7 @@ import ast
 import re
 
 import pytest
+import yaml
 from documents import PAGES, ROOT
 
 from abrace.campaign import drives, file, tasks
@@ -49,6 +50,15 @@ def test_every_page_is_in_the_site():
         [*(page.stem for page in (ROOT / "docs").glob("*.md") if page.stem != "index"), "packages",
          *(f"project/{page.stem}" for page in (ROOT / "docs/project").glob("*.md"))]
     )  # fmt: skip
+
+
+def test_the_citation_has_the_version_and_the_licence_of_the_packages():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    for package in (ROOT / "src").glob("*/package.xml"):
+        text = package.read_text()
+        assert f"<version>{citation['version']}</version>" in text, package
+        assert f"<license>{citation['license']}</license>" in text, package
+    assert {"cff-version", "message", "title", "authors"} <= set(citation)
 
 
 LIBRARIES = [
