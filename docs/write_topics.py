@@ -94,7 +94,7 @@ def _in(tree: ast.AST, names: Mapping[str, Any]) -> Iterator[Endpoint]:
     if isinstance(tree, ast.For | ast.comprehension) and (values := _loop(tree, names)) is not None:
         for value in values:
             for inner in ast.iter_child_nodes(tree):
-                yield from _in(inner, {**names, tree.target.id: value})  # type: ignore[union-attr]
+                yield from _in(inner, {**names, tree.target.id: value})  # type: ignore[attr-defined]
         return
     if isinstance(tree, ast.IfExp) and "lockstep" in ast.unparse(tree.test):
         names = {**names, WHEN: "in lockstep: "}
