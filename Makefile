@@ -53,7 +53,7 @@ demo: setup  ## the paper, live: tests, model, controller, earthquake, table (re
 
 docs: tools .venv/.docs  ## the documentation as a site: docs/site/index.html
 	@$(ENVIRONMENT)
-	python -m sphinx --quiet --fail-on-warning --keep-going -j auto -b dirhtml docs docs/site
+	python -m sphinx --quiet --fail-on-warning --keep-going -j auto -b html docs docs/site
 
 reference: setup  ## write the pages of docs anew that are made from the code (docs/write_*.py)
 	@$(ENVIRONMENT)

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from documents import PAGES, ROOT, anchors
+from documents import GENERATED, PAGES, ROOT, anchors
 
 LINK = re.compile(r"\]\(([^)#\s]*)(#[^)\s]+)?\)")
 
@@ -35,6 +35,15 @@ def test_what_is_cited_is_in_the_references(page):
         if author not in NO_AUTHORS and not any(author in entry and year in entry for entry in listed)
     }
     assert not missing, f"{page.name}: {sorted(missing)} not in docs/references.md"
+
+
+def test_pages_with_equations_of_the_paper_say_which_paper_and_what_its_symbols_are():
+    pages = [page for page in (ROOT / "docs").glob("*.md") if page.stem not in (*GENERATED, "glossary", "references")]
+    sentences = {page: re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL) for page in pages}
+    with_equations = [page for page, text in sentences.items() if re.search(r"Eqs?\. \(", text)]
+    assert len(with_equations) > 5
+    for page in with_equations:
+        assert "references.md#the-paper" in sentences[page], page.name
 
 
 NO_AUTHORS = {"Centro", "Kobe", "Corralitos", "Sylmar", "Dam", "Pacoima", "Jazzy"}
