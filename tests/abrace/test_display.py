@@ -55,7 +55,7 @@ def test_the_display_has_the_step_time_left_peaks_force_and_every_node(terminal)
     lines = {line.split()[0]: line for line in text.splitlines()}
     assert lines["plant"].split() == ["plant", "500", "-", "running"]
     assert "fault: no response" in lines["controller"]
-    assert lines["logger"].split(maxsplit=3)[2:] == ["3", "silent for 5 s; was: recording"]
+    assert lines["logger"].split(maxsplit=3)[2:] == ["3", "stale for 5 s; was: recording"]
 
 
 def test_what_has_ended_stands_above_the_display_as_plain_lines(terminal):

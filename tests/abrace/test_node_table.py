@@ -17,10 +17,10 @@ def test_the_rate_is_that_of_samples_between_two_reports_and_losses_are_added():
     assert report(first, heard=11.0).rate is None
 
 
-def test_a_node_that_has_fallen_silent_is_shown_as_such():
+def test_a_node_that_no_longer_reports_is_shown_as_stale():
     text = node_table({"/rig/plant": report(heard=10.0), "/rig/logger": report(heard=17.0)}, 17.5)
     assert text.splitlines() == [
         "node         samples/s    lost  state",
         "/rig/logger          -       -  running",
-        "/rig/plant           -       -  silent for 8 s; was: running",
+        "/rig/plant           -       -  stale for 8 s; was: running",
     ]

@@ -15,8 +15,6 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from abrace.report.node_table import STALE
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from typing import Self
@@ -210,9 +208,9 @@ def _node_table(reports: Mapping[str, NodeReport], now: float) -> Table:
     for header, justify in (("node", "left"), ("samples/s", "right"), ("lost", "right"), ("state", "left")):
         table.add_column(header, justify=justify)  # type: ignore[arg-type]
     for name, report in sorted(reports.items()):
-        silent = now - report.heard
-        state = f"silent for {silent:.0f} s; was: {report.message}" if silent > STALE else report.message
-        style = "bold red" if report.failed else "yellow" if silent > STALE or report.lost else ""
+        style = "bold red" if report.failed else "yellow" if report.stale(now) or report.lost else ""
         rate = "-" if report.rate is None else f"{report.rate:.0f}"
-        table.add_row(name, rate, "-" if report.lost is None else str(report.lost), Text(state), style=style)
+        table.add_row(
+            name, rate, "-" if report.lost is None else str(report.lost), Text(report.words(now)), style=style
+        )
     return table

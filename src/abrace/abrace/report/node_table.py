@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 STALE = 2.5
-"""Seconds after which a node that reports once a second has fallen silent."""
+"""Seconds without a report after which a node that reports once a second is stale."""
+OK = b"\x00"
+"""`DiagnosticStatus.OK`."""
 LOSSES = ("lost", "missed")
 """How entries of diagnostics begin that count what has been lost."""
 
@@ -65,17 +67,57 @@ class NodeReport:
         count = 1 + (before.count if before else 0)
         return cls(message, failed, heard, rate, lost, sequence, values.get("stop", ""), count)
 
+    def stale(self, now: float) -> bool:
+        """Whether the node has not reported for so long that it may have ended, by the time `now` [s]."""
+        return now - self.heard > STALE
+
+    def words(self, now: float) -> str:
+        """Its state for people, at the time `now` [s]."""
+        return f"stale for {now - self.heard:.0f} s; was: {self.message}" if self.stale(now) else self.message
+
+
+class NodeReports(dict[str, NodeReport]):
+    """What each node has reported last, by its full name."""
+
+    def note(self, status: Any, now: float) -> None:
+        """Note a status of `/diagnostics`, if it is the state of a node.
+
+        Parameters
+        ----------
+        status
+            A `diagnostic_msgs.msg.DiagnosticStatus`.
+        now
+            When it came [s].
+        """
+        name, _, what = status.name.partition(":")
+        if what.strip() == "state":
+            values = {pair.key: pair.value for pair in status.values}
+            full_name = f"/{name.lstrip('/')}"
+            before = self.get(full_name)
+            self[full_name] = NodeReport.after(before, status.message, status.level != OK, values, now)
+
+    def rows(self, now: float) -> list[dict[str, str | float | int | None]]:
+        """For each node its `name`, `level` (ok, error or stale), `state`, `rate` and `lost` at the time `now` [s]."""
+        return [
+            {
+                "name": name,
+                "level": "stale" if one.stale(now) else "error" if one.failed else "ok",
+                "state": one.words(now),
+                "rate": one.rate,
+                "lost": one.lost,
+            }
+            for name, one in sorted(self.items())
+        ]
+
 
 def node_table(reports: Mapping[str, NodeReport], now: float) -> str:
-    """A line for each node of `reports`, by full name; `now` [s] tells who has fallen silent."""
+    """A line for each node of `reports`, by full name; `now` [s] tells which of them are stale."""
     if not reports:
         return "no node reports; is ROS_DOMAIN_ID that of the rig?"
 
     def cells(name: str, report: NodeReport) -> tuple[str, ...]:
-        silent = now - report.heard
-        state = f"silent for {silent:.0f} s; was: {report.message}" if silent > STALE else report.message
         rate = "-" if report.rate is None else f"{report.rate:.0f}"
-        return name, rate, "-" if report.lost is None else str(report.lost), state
+        return name, rate, "-" if report.lost is None else str(report.lost), report.words(now)
 
     rows = [("node", "samples/s", "lost", "state"), *(cells(name, one) for name, one in sorted(reports.items()))]
     width = max(len(row[0]) for row in rows)
