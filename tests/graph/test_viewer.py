@@ -6,7 +6,8 @@ import json
 import re
 import urllib.error
 import urllib.request
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,12 +18,13 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from abrace import simulate
+from abrace.processes.parameter_file import parameter_file
+from abrace.processes.watching import watched
+from abrace.report.recorded import last_bag
 from abrace_bags import message_definition
+from abrace_core.installed import find_file
 from abrace_core.table_signals import table_noise
 from abrace_interfaces.msg import Response
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 VIEW = ("/view/channels", "/view/frames", "/view/scene")
 
@@ -50,11 +52,16 @@ def test_viewers_get_the_graph_as_it_is_and_a_building_that_moves_and_may_stop_i
         graph.until_matched("plant", response=0)
         assert graph.values("plant")["subscribers of response"] == "0", "nobody looks: nothing is received"
 
+        published: list[bytes] = []
+        graph.node.create_subscription(Response, "response", published.append, 5000, raw=True)
+        graph.until_matched("plant", response=1)
         client.subscribe(response, *VIEW, "/view/nodes", "/robot_description", f"{graph.namespace}/robot_description")
         graph.until(lambda: all(len(client.messages[topic]) > 20 for topic in (response, *VIEW)), "messages")
-        samples = [deserialize_message(payload, Response) for _, payload in client.messages[response]]
+        passed_on = [payload for _, payload in client.messages[response]]
+        graph.until(lambda: set(passed_on) <= set(published), "the same messages, byte for byte")
+        samples = [deserialize_message(payload, Response) for payload in passed_on]
         numbers = [sample.sequence for sample in samples]
-        assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), "every sample, as it was published"
+        assert numbers == sorted(set(numbers))
         shown = client.json("/view/channels")
         assert shown[0]["state"] == "running"
         names = client.channels["/view/channels"]["schema"]
@@ -114,3 +121,22 @@ def test_a_bag_is_played_to_viewers_and_no_peak_of_it_is_hidden(graph: Any, tmp_
             shown = [message[name] for message in client.json("/view/channels")]
             np.testing.assert_allclose([min(shown), max(shown)], [values.min(), values.max()], err_msg=name)
     assert graph.stop("viewer") == 0
+
+
+@pytest.mark.usefixtures("domain")
+def test_a_campaign_that_is_watched_has_a_page_meanwhile_and_says_where(capsys: pytest.CaptureFixture) -> None:
+    rig_file = find_file("five_storey", "abrace_plant", "config", ".yaml", "rig")
+    with watched(rig_file, ["port:=0", "page_port:=0"]):
+        page = capsys.readouterr().err.removeprefix("watch: ").strip()
+        with urllib.request.urlopen(f"{page}rig.json") as answer:
+            assert json.load(answer)["floors"] == 5
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(page)
+
+
+def test_the_bag_of_the_last_test_is_shown_afterwards(tmp_path: Path) -> None:
+    assert last_bag(tmp_path, ["noise"]) is None
+    (tmp_path / "nodes").mkdir()
+    for step in ("noise", "quake"):
+        parameter_file(tmp_path / f"nodes/{step}_logger.yaml", {"output": f"/bags/{step}"})
+    assert last_bag(tmp_path, ["noise", "quake", "model"]) == Path("/bags/quake")

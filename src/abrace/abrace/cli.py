@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import AbstractContextManager, nullcontext
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
@@ -59,6 +60,7 @@ def parser() -> OneLineParser:
     )
     file = campaign.add_argument("file", help="YAML file, or the name of one of ours: demo, five_controllers")
     _completed(file, completion.campaigns)
+    _add_watch(campaign)
     one_of = campaign.add_mutually_exclusive_group()
     one_of.add_argument("--from", dest="start", metavar="STEP", help="run this step and those after it anew")
     one_of.add_argument("--check", action="store_true", help="only check the file, and say what it will do")
@@ -81,12 +83,21 @@ def parser() -> OneLineParser:
     setting.add_argument("node", help="such as controller, or /rig/controller")
     setting.add_argument("parameter", help="such as next")
     setting.add_argument("value", help="such as lqg2.yaml")
-    commands.add_parser(
+    demo = commands.add_parser(
         DEMO,
         help="the paper's tests, identification, design and comparison on the simulated rig",
         example="abrace demo, then look at results/demo/report.md",
     )
+    _add_watch(demo)
     return main_parser
+
+
+def _add_watch(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--watch",
+        action="store_true",
+        help="show the building on a page in the browser, and the last test again afterwards, until Ctrl-C",
+    )
 
 
 def _completed(action: argparse.Action, completer: Callable[..., Iterable[str]]) -> None:
@@ -145,11 +156,34 @@ def _carry_out(given: argparse.Namespace) -> int:
     from abrace.campaign.course import run_campaign
 
     name, start = (given.file, given.start) if given.command == "campaign" else (DEMO, None)
-    outcome = run_campaign(_campaign_file(name), start)
-    print(outcome.tables)
+    path = _campaign_file(name)
+    with _watched(path) if given.watch else nullcontext():
+        outcome = run_campaign(path, start)
+    print(outcome.tables, flush=True)
     for doubt in outcome.doubts:
         print(f"abrace: not to be trusted: {doubt}", file=sys.stderr)
+    if given.watch:
+        _watch_last(path, outcome.results)
     return FAILED if outcome.doubts else 0
+
+
+def _watched(path: Path) -> AbstractContextManager[None]:
+    """The viewer beside the campaign in a file."""
+    from abrace.campaign.file import load_campaign
+    from abrace.campaign.laboratory import Laboratories
+    from abrace.processes.watching import watched
+
+    return watched(Laboratories(load_campaign(path)).of().rig_file)
+
+
+def _watch_last(path: Path, results: Path) -> None:
+    """Show the last test of the campaign in a file, if it has one, until Ctrl-C."""
+    from abrace.campaign.file import load_campaign
+    from abrace.processes.watching import watch_bag
+    from abrace.report.recorded import last_bag
+
+    if bag := last_bag(results, [step.name for step in load_campaign(path).steps]):
+        watch_bag(bag)
 
 
 def _campaign_file(name: str) -> Path:

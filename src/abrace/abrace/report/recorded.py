@@ -104,12 +104,24 @@ def recorded_tests(directory: Path, steps: Iterable[str]) -> list[RecordedTest]:
     return [_test(directory, step, path) for step in steps if (path := folder / f"{step}_logger.yaml").exists()]
 
 
-def _test(directory: Path, step: str, parameters: Path) -> RecordedTest:
+def last_bag(directory: Path, steps: Iterable[str]) -> Path | None:
+    """The bag of the last test among the `steps` of the campaign in a `directory` of results; None: there is none."""
+    logged = [path for step in steps if (path := directory / "nodes" / f"{step}_logger.yaml").exists()]
+    return _bag(directory, logged[-1]) if logged else None
+
+
+def _bag(directory: Path, parameters: Path) -> Path:
+    """The bag that a logger of these parameters wrote."""
     content = yaml.safe_load(parameters.read_text(encoding="utf-8"))
     bag = Path(content["/**"]["ros__parameters"]["output"])
     if not bag.is_absolute() and not bag.exists():
         # the report is made elsewhere than the campaign was run: results/NAME stands beside bags
         bag = directory.resolve().parent.parent / bag
+    return bag
+
+
+def _test(directory: Path, step: str, parameters: Path) -> RecordedTest:
+    bag = _bag(directory, parameters)
     try:
         return RecordedTest(step, bag, read_runs(bag)[0])
     except AbraceError as error:

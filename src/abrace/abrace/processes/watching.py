@@ -1,0 +1,91 @@
+"""The viewer beside a campaign: a page in the browser that shows the building, while it runs and afterwards."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import tempfile
+import time
+import webbrowser
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from abrace.processes.group import ProcessGroup, find_executable
+from abrace_core.errors import RunFailed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from abrace.processes.group import NodeProcess
+
+VIEWER = "abrace_bringup/viewer"
+"""Package and executable; of the floor above: it is found when it is asked for, and nothing else needs it."""
+PATIENCE = 30.0
+"""Seconds in which it has to listen."""
+POLL = 0.1
+"""Seconds between looks whether it does."""
+_LISTENS = re.compile(r"^viewer: (\S+) in a browser.*:(\d+)$", re.MULTILINE)
+
+
+@contextmanager
+def watched(rig_file: Path, parameters: Sequence[str] = ()) -> Iterator[None]:
+    """Show the running graph on a page meanwhile, and open that where this machine has a desktop.
+
+    Parameters
+    ----------
+    rig_file
+        Of the rig that is drawn.
+    parameters
+        Further ones of the viewer, each as name:=value.
+
+    Raises
+    ------
+    RunFailed
+        If the viewer does not begin.
+    """
+    with _viewer(f"rig:={rig_file.resolve()}", *parameters) as (url, _):
+        print(f"watch: {url}", file=sys.stderr, flush=True)
+        if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+            webbrowser.open(url)
+        yield
+
+
+def watch_bag(bag: Path) -> None:
+    """Play a `bag` on the page, by the clock, again and again until Ctrl-C.
+
+    Raises
+    ------
+    RunFailed
+        If the viewer does not begin, or ends.
+    """
+    with _viewer(f"bag:={bag.resolve()}") as (url, group):
+        print(f"watch: {url} shows {bag}, until Ctrl-C", file=sys.stderr, flush=True)
+        with suppress(KeyboardInterrupt):
+            while True:
+                group.raise_if_died()
+                time.sleep(POLL)
+
+
+@contextmanager
+def _viewer(*parameters: str) -> Iterator[tuple[str, ProcessGroup]]:
+    """A viewer with `parameters`; gives where its page is, and what holds its process."""
+    package, executable = VIEWER.split("/")
+    command: list[str | Path] = [find_executable(package, executable), "--ros-args"]
+    command += [word for parameter in parameters for word in ("-p", parameter)]
+    with tempfile.TemporaryDirectory() as folder, ProcessGroup() as group:
+        viewer = group.start(executable, command, Path(folder) / "viewer.log")
+        yield _listening(viewer), group
+
+
+def _listening(viewer: NodeProcess) -> str:
+    """Wait until the viewer listens; where its page is."""
+    deadline = time.monotonic() + PATIENCE
+    while not (found := _LISTENS.search(viewer.log_file.read_text(encoding="utf-8", errors="replace"))):
+        if viewer.returncode is not None:
+            raise viewer.died()
+        if time.monotonic() > deadline:
+            raise RunFailed(f"the viewer did not listen within {PATIENCE:g} s")
+        time.sleep(POLL)
+    return found[1]
