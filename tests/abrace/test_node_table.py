@@ -1,6 +1,8 @@
 """What nodes report, as a table."""
 
-from abrace.report.node_table import NodeReport, node_table
+from types import SimpleNamespace
+
+from abrace.report.node_table import NodeReport, NodeReports, node_table
 
 
 def report(before=None, heard=10.0, **values):
@@ -15,6 +17,21 @@ def test_the_rate_is_that_of_samples_between_two_reports_and_losses_are_added():
     assert report(second, heard=11.05, sequence=602).rate == 500.0, "a report for another reason, just after it"
     assert report(second, heard=12.0, sequence=3).rate is None, "a new run"
     assert report(first, heard=11.0).rate is None
+
+
+def test_states_of_nodes_are_found_among_all_diagnostics_and_those_of_other_makers_do_no_harm():
+    reports = NodeReports()
+    for name, level, sequence in (
+        ("rig/plant: state", b"\x02", "7"),
+        ("lidar: state", b"\x00", "n/a"),
+        ("fan", b"\x01", ""),
+    ):
+        values = [SimpleNamespace(key="sequence", value=sequence)]
+        reports.note(SimpleNamespace(name=name, level=level, message="so", values=values), 10.0)
+    rows = {row["name"]: (row["level"], row["state"]) for row in reports.rows(11.0)}
+    assert rows == {"/rig/plant": ("error", "so"), "/lidar": ("ok", "so")}
+    assert reports["/rig/plant"].sequence == 7
+    assert {row["level"] for row in reports.rows(13.0)} == {"stale"}
 
 
 def test_a_node_that_no_longer_reports_is_shown_as_stale():

@@ -49,6 +49,8 @@ def test_viewers_get_the_graph_as_it_is_and_a_building_that_moves_and_may_stop_i
         assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
         assert channel["schemaName"] == "abrace_interfaces/msg/Response"
         assert channel["schema"] == message_definition("abrace_interfaces/msg/Response").text
+        schemas = [client.channels[topic]["schemaName"] for topic in VIEW]
+        assert schemas == ["abrace.Channels", "foxglove.FrameTransforms", "foxglove.SceneUpdate"]
         graph.until_matched("plant", response=0)
         assert graph.values("plant")["subscribers of response"] == "0", "nobody looks: nothing is received"
 

@@ -57,7 +57,8 @@ class NodeReport:
 
         `failed`: as in NodeReport.
         """
-        sequence = int(values.get("sequence", "-1"))
+        text = values.get("sequence", "")
+        sequence = int(text) if text.isdecimal() else -1
         rate = None
         if before is not None and sequence >= before.sequence >= 0:
             span = heard - before.heard
