@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ class NodeReport:
         "pressed by ..." where a stop button is; else empty.
     count
         Reports so far.
+    values
+        What else it says, by name.
     """
 
     message: str
@@ -48,6 +50,7 @@ class NodeReport:
     sequence: int
     stopped: str
     count: int
+    values: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def after(
@@ -66,7 +69,7 @@ class NodeReport:
         counts = [int(value) for key, value in values.items() if key.partition(" ")[0] in LOSSES and value.isdigit()]
         lost = sum(counts) if counts else None
         count = 1 + (before.count if before else 0)
-        return cls(message, failed, heard, rate, lost, sequence, values.get("stop", ""), count)
+        return cls(message, failed, heard, rate, lost, sequence, values.get("stop", ""), count, values)
 
     def stale(self, now: float) -> bool:
         """Whether the node has not reported for so long that it may have ended, by the time `now` [s]."""
