@@ -28,6 +28,7 @@ from identification_claims import verify_identification
 from interlock_margins import verify_interlocks
 from interval_coverage import verify_coverage
 from measured_structure import verify_measured
+from operator_page import verify_operator
 from record_accuracy import verify_records
 from rig_accuracy import verify_rig
 from rig_as_it_is import verify_as_a_rig
@@ -75,6 +76,7 @@ def parts(record: Path | None, measured: Path | None) -> dict[str, Part]:
         "bags": Part(("bags",), "killed loggers, power losses, damaged files", verify_bags),
         "bridge": Part(("bridge",), "malformed packets; the demo through emulator and bridge", verify_bridge),
         "safety": Part(("safety",), "every state with every event; what may go wrong, on running nodes", verify_safety),
+        "operator": Part(("operator",), "from a click on STOP in a browser to zero command", verify_operator),
     }
 
 

@@ -77,6 +77,8 @@ NODES = {
     "abrace_bringup": {
         "viewer": "Takes every topic that a viewer looks at, and `/diagnostics`; publishes nothing. Serves "
         "them to Foxglove and Lichtblick, and a page to browsers: viewer.md.",
+        "operator": "Takes `response`, `/diagnostics`; publishes `/emergency_stop`, pressed or not, ten times a "
+        "second. Calls services of the nodes in its namespace: operator.md.",
     },
     "abrace_lqg": {
         "design": "Offline: a model and weights to a controller file.",

@@ -6,6 +6,7 @@ setup(
     name="abrace_bringup",
     version="0.1.0",
     packages=find_packages(),
+    package_data={"abrace_bringup": ["operator_page/files/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/abrace_bringup"]),
         ("share/abrace_bringup", ["package.xml"]),
@@ -17,13 +18,14 @@ setup(
     zip_safe=True,
     maintainer="abrace developers",
     maintainer_email="maintainers@abrace.example.org",
-    description="Launch files for the rig.",
+    description="Launch files for the rig, and the operator's page.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
             "closed_loop = abrace_bringup.without_launch:closed_loop",
             "identification = abrace_bringup.without_launch:identification",
             "viewer = abrace_core.executable:main",
+            "operator = abrace_core.executable:main",
         ]
     },
 )

@@ -57,6 +57,7 @@ MODULES = [
     "abrace.campaign.runner",
     "abrace.nodes.operator_commands",
     "abrace_bringup.nodes.viewer",
+    "abrace_bringup.nodes.operator",
     *(
         f"abrace_plant.nodes.{name}"
         for name in ("plant", "ground_motion", "record", "characterize", "sensor_bridge", "emulator")

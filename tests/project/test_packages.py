@@ -20,6 +20,7 @@ KEYS = {
     "hypothesis": "python3-hypothesis",
     "psutil": "python3-psutil",
     "rich": "python3-rich",
+    "tornado": "python3-tornado",
 }
 """rosdep's keys of Python packages that apt installs on Ubuntu 24.04, by import; a ROS package is its own key."""
 FROM_PIP = {

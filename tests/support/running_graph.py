@@ -59,6 +59,7 @@ PACKAGES = {
     "controller": "abrace_lqg",
     "supervisor": "abrace",
     "viewer": "abrace_bringup",
+    "operator": "abrace_bringup",
 }
 STREAMING = ("plant", "sensor_bridge", "ground_motion", "excitation", "controller")
 TRANSITIONS = {
@@ -126,7 +127,7 @@ class Graph:
         log = self.folder / f"{name}.log"
         process = self.processes.start(name, [*command, *arguments], log)
         self.started[name] = process
-        if executable not in ("logger", "replay", "supervisor", "viewer"):
+        if executable not in ("logger", "replay", "supervisor", "operator", "viewer"):
             self._client(ChangeState, f"{name}/change_state")
             self._client(GetState, f"{name}/get_state")
             self._client(Trigger, f"{name}/clear_fault")

@@ -1,0 +1,254 @@
+"""The node `operator`: a page in the browser on which a person watches a rig, arms it, records, and stops it.
+
+abrace run abrace_bringup operator --ros-args -r __ns:=/rig -p rig:=ncree_three_storey
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.clock import Clock, ClockType
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from abrace.nodes.graph_operator import STOP_TOPIC, GraphOperator, StopButton
+from abrace_bringup.operator_page import actions, view
+from abrace_bringup.operator_page.access import make_access
+from abrace_bringup.operator_page.server import PageServer
+from abrace_bringup.operator_page.stop_request import StopRequest
+from abrace_bringup.operator_page.traces import Traces
+from abrace_core.errors import AbraceError
+from abrace_core.node import TRANSIENT_LOCAL_QOS, AbraceNode, Parameter, find_file, run
+from abrace_core.safety.rig_safety import ACTING
+from abrace_core.wire import Responses
+from abrace_interfaces.msg import Response
+from abrace_plant.rig.file import load_rig
+
+PARAMETERS = [
+    Parameter(
+        "rig",
+        "ncree_three_storey",
+        "whose floors and capacity are shown: a name in abrace_plant's configuration or a file",
+        required=True,
+    ),
+    Parameter(
+        "address",
+        "127.0.0.1",
+        "IP address that the page is served on; beyond loopback only with token_file, certificate and key",
+        required=True,
+    ),
+    Parameter("port", 8642, "of the page; 0: a free one", minimum=0, maximum=65535),
+    Parameter("hosts", [], "further host names by which browsers reach this machine", element=str),
+    Parameter("token_file", "", "file with the token that a page has to give; empty: none"),
+    Parameter("certificate", "", "file of PEM, for TLS; empty: none"),
+    Parameter("key", "", "file of PEM, of the certificate"),
+    Parameter(
+        "page_heartbeat",
+        0.0,
+        "s within which every page has to answer, at least 0.5; a lost page is a stop; 0: pages may come and go",
+        minimum=0.0,
+        maximum=60.0,
+    ),
+]
+SHORTEST_HEARTBEAT = 0.5
+"""Seconds: a page answers ten times a second, a busy browser less often."""
+WATCH_PERIOD = 0.05
+"""Seconds between looks whether a page is lost."""
+LOOK_PERIOD = 1.0
+"""Seconds between looks for nodes and their services."""
+WAITING = 8
+"""Actions that may wait for their turn."""
+DISPLAY_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Of the page's subscription to samples: it must not hold up a rig."""
+TYPES = {"change_state": ChangeState}
+
+
+class OperatorPage(AbraceNode):
+    """Serves the page; samples and reports come in the main thread, what is pressed in the server's.
+
+    STOP is published there at once. Everything else is done in turn in a third thread.
+    """
+
+    streams = True
+
+    def __init__(self) -> None:
+        super().__init__("operator", PARAMETERS)
+        given = self.parameters
+        self.rig = load_rig(find_file(given.rig, "abrace_plant", "config", ".yaml", "rig"))
+        if 0 < given.page_heartbeat < SHORTEST_HEARTBEAT:
+            expected = f"expected 0, or at least {SHORTEST_HEARTBEAT:g}"
+            raise AbraceError(f"parameter page_heartbeat: {given.page_heartbeat:g}, {expected}")
+        access = make_access(given.address, given.port, given.hosts, given.token_file, given.certificate, given.key)
+        self.closing = threading.Event()
+        self.operator = GraphOperator(self, self.let_pass)
+        self.request = StopRequest(given.page_heartbeat)
+        self.server = PageServer(access, self, self.page_failed)
+        publisher = self.publish_on(Bool, STOP_TOPIC, TRANSIENT_LOCAL_QOS)
+        self.button = StopButton(self, publisher, lambda: bool(self.request.reason(time.monotonic())))
+        self.asked = ""
+        self.offers: dict[str, frozenset[str]] = {}
+        self.rigs: list[str] = []
+        self.responses = Responses()
+        self.last: view.Last | None = None
+        self.traces, self.events = Traces(), view.Events()
+        self.worker = ThreadPoolExecutor(1, "actions")
+        self.waiting = threading.BoundedSemaphore(WAITING)
+        self.subscribe_to(Response, "response", self.on_response, DISPLAY_QOS, raw=True)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(WATCH_PERIOD, self.watch, clock=steady)
+        self.create_timer(LOOK_PERIOD, self.look, clock=steady)
+
+    def autostart(self) -> None:
+        """Serve the page."""
+        self.server.start()
+        print(f"operator: the page is {self.server.access.url}", flush=True)
+
+    def on_response(self, payload: bytes) -> None:
+        """Take a sample."""
+        try:
+            stamp, head, values = self.responses.unpack(payload)
+            cause = "" if head.state in ACTING else self.responses.cause(payload)
+        except AbraceError:
+            return  # of a type that this is not: the rig is shown as silent
+        floors, groups = self.responses.floors, self.responses.groups
+        self.traces.add(head.run, stamp, view.on_screen(values, floors, groups))
+        self.last = view.Last(head, cause, values, floors, groups, time.monotonic())
+
+    def watch(self) -> None:
+        """Say at once that a stop is asked for, or is not any more."""
+        reason = self.request.reason(time.monotonic())
+        if reason != self.asked:
+            self.asked = reason
+            self.button.publish()
+            self.note(f"STOP: {reason}" if reason else "STOP released", bool(reason))
+            self.publish_diagnostics()
+
+    def look(self) -> None:
+        """Look for nodes and what they offer; clients are made before they are needed."""
+        self.offers = actions.offers([name for name, _ in self.get_service_names_and_types()])
+        self.rigs = self.operator.rigs()
+        own = self.get_namespace().rstrip("/")
+        for node, services in self.offers.items():
+            if node.rpartition("/")[0] == own:
+                for service in services:
+                    self.operator.client(TYPES.get(service, Trigger), f"{node}/{service}")
+                if "change_state" in services:
+                    self.operator.client(GetState, f"{node}/get_state")
+        gone = [name for name, one in self.operator.reports.items() if time.monotonic() - one.heard > view.GONE]
+        for name in gone:
+            del self.operator.reports[name]
+
+    # what the server asks for, in its thread
+
+    def hello(self) -> dict[str, Any]:
+        """What a page is told once."""
+        return {"rig": view.rig_view(self.rig)}
+
+    def frame(self, bins: int, events: int) -> dict[str, Any]:
+        """What a page is told that has the `bins` and `events` up to these numbers."""
+        now, reports = time.monotonic(), dict(self.operator.reports)
+        rigs = [name for name in self.rigs if name.rpartition("/")[0] == self.get_namespace().rstrip("/")]
+        recorders = actions.recorders(self.offers, self.get_namespace())
+        done = self.events.since(events)
+        return {
+            "sample": view.sample_view(self.last, self.rig, now),
+            "stop": self.request.reason(now),
+            "traces": self.traces.since(bins),
+            "interlocks": view.interlock_view(next((reports[name] for name in rigs if name in reports), None)),
+            "latency": view.latency_view(reports),
+            "recording": view.recording_view(reports, recorders, now),
+            "nodes": view.node_view(reports, self.offers, now),
+            "events": done,
+            "event_number": done[-1]["number"] if done else events,
+        }
+
+    def hear(self, page: object) -> None:
+        """A page is there."""
+        self.request.hear(page, time.monotonic())
+
+    def lose(self, page: object) -> None:
+        """A page is gone."""
+        self.request.lose(page)
+
+    def ask(self, action: str, node: str) -> None:
+        """A person asks for an `action`; STOP goes out at once."""
+        if action == "stop":
+            self.request.press("pressed on the page")
+            self.button.publish()
+        elif action == "release":
+            try:
+                self.request.release()
+            except AbraceError as error:
+                self.note(f"release STOP: {error}", True)
+        elif not self.waiting.acquire(blocking=False):
+            self.note(f"{action}: not done, {WAITING} others wait", True)
+        else:
+            self.worker.submit(partial(self.act, action, node))
+
+    # in the thread of actions
+
+    def act(self, action: str, node: str) -> None:
+        """Do it, and note what came of it."""
+        try:
+            failed = [name for name, one in self.operator.reports.items() if one.failed]
+            for name in actions.targets(action, node, self.offers, self.get_namespace(), self.rigs, failed):
+                self.note(f"{name}: {self.do(action, name)}")
+        except AbraceError as error:
+            self.note(f"{actions.WORDS.get(action, action)}: {error}", True)
+        finally:
+            self.waiting.release()
+
+    def do(self, action: str, name: str) -> str:
+        """Do it to a node; returns what it answers."""
+        if action == "arm":
+            return self.operator.arm(name)
+        if action == "disarm":
+            return self.operator.disarm(name)
+        return self.operator.trigger(f"{name}/{actions.NEEDS[action]}")
+
+    def let_pass(self) -> None:
+        """Wait a moment, while the main thread receives."""
+        if self.closing.wait(0.01):
+            raise AbraceError("not done: the page's node ends")
+
+    def note(self, text: str, bad: bool = False) -> None:
+        """Show it on the pages and in the log; from any thread."""
+        self.events.add(time.time(), text, bad)
+        # rclpy has one severity for each line of code
+        if bad:
+            self.get_logger().warning(text)
+        else:
+            self.get_logger().info(text)
+
+    def page_failed(self, error: BaseException) -> None:
+        """The server's thread has died: nobody can press STOP there any more."""
+        self.request.press(f"the page's server has failed: {error}")
+        self.finish(1, f"{type(error).__name__}: {error}")
+
+    def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
+        """State for `/diagnostics`."""
+        pages = self.server.open_pages
+        values: dict[str, object] = {"pages": pages, "refused requests": self.server.refused}
+        if self.server.refused:
+            values["last refusal"] = self.server.last_refusal
+        if self.asked:
+            values["asks for a stop"] = self.asked
+        return None, f"{pages} page{'' if pages == 1 else 's'} open at {self.server.access.url}", values
+
+    def close(self) -> None:
+        """Close the pages; where they had to stay, that is a stop."""
+        self.closing.set()
+        self.worker.shutdown(cancel_futures=True)
+        self.server.stop()
+        self.button.publish()
+
+
+def main() -> int:
+    """Entry point."""
+    return run(OperatorPage)
