@@ -21,6 +21,7 @@ from write_nodes import NODES, node_class
 
 from abrace.nodes import operator_commands
 from abrace.nodes.graph_monitor import GraphMonitor
+from abrace.nodes.graph_operator import GraphOperator
 from abrace_core.files import write_text
 from abrace_core.node import DIAGNOSTICS, KEPT_STREAM_QOS, AbraceLifecycleNode, stop_listener
 
@@ -63,9 +64,9 @@ WHEN = "when it is created"
 """Among the names: words in front of the QoS of what is created in one case alone."""
 NOT_LISTED = ("topic.name",)
 """Topics whose names are in a bag: the introduction tells of them."""
-BESIDE: Mapping[str, tuple[Any, ...]] = {"supervisor": (GraphMonitor,)}
+BESIDE: Mapping[str, tuple[Any, ...]] = {"supervisor": (GraphMonitor,), "operator": (GraphOperator,)}
 """What creates topics of a node in another class."""
-COMMANDS = {"abrace stop": (operator_commands.stop,), "abrace status": (operator_commands.Operator,)}
+COMMANDS = {"abrace stop": (operator_commands.stop,), "abrace status": (GraphOperator,)}
 
 
 class Endpoint(NamedTuple):

@@ -34,6 +34,9 @@ ROS2 = {
 }
 """What of `ros2` the documents use."""
 
+OTHERS = ("diagnostic_aggregator",)
+"""Packages of others whose nodes the documents start."""
+
 
 def node_mistakes(package: str, executable: str, words: list[str]) -> list[str]:
     """What is wrong in a node's name and arguments."""
@@ -89,7 +92,8 @@ def ros2_mistakes(words: list[str]) -> list[str]:
     if verb not in ROS2 or (ROS2[verb] and (not rest or rest[0] not in ROS2[verb])):
         return [" ".join(words)]
     if verb == "run":
-        return node_mistakes(rest[0], rest[1], rest[2:]) if len(rest) > 1 else []
+        ours = len(rest) > 1 and rest[0] not in OTHERS
+        return node_mistakes(rest[0], rest[1], rest[2:]) if ours else []
     if verb == "launch":
         name = rest[1].removesuffix(".launch.py") if len(rest) > 1 else "FILE"
         return argument_mistakes(name, rest[2:]) if rest[0].endswith("_bringup") and name in LAUNCH else []
