@@ -86,6 +86,21 @@ def test_file_is_written(bag: Path, tmp_path: Path, action: str, topics: list[st
     assert output.read_bytes().startswith(begin)
 
 
+def test_topic_is_found_by_the_end_of_its_name_if_only_one_has_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        for name in ("/rig/response", "/rig/plant/state", "/other/plant/state", "/force"):
+            topic = bag.add_topic(name, "test_msgs/msg/Force", DEFINITION, "")
+            bag.write(topic, PREFIX + bytes(16), 1, 1)
+    command = ["bag", "csv", str(tmp_path / "bag"), "--output", str(tmp_path / "topic.csv")]
+    for found in ("response", "/response", "rig/response", "/rig/plant/state", "force"):
+        assert main([*command, found]) == 0, found
+    assert main([*command, "state"]) == 2
+    assert "2 topics end in /state, expected one of /other/plant/state, /rig/plant/state" in capsys.readouterr().err
+    assert main([*command, "ponse"]) == 2, "the end of a name, not of a word"
+
+
 def test_topic_whose_name_has_no_slash_is_found(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", {}) as bag:
         for name in ("imu", "/force"):

@@ -45,7 +45,7 @@ def add_bag_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
         action = actions.add_parser(name, help=text, example=f"abrace bag {name} bags/first{further}")
         action.add_argument("bag", type=Path, help="bag directory or MCAP file")
         if name == "csv":
-            action.add_argument("topics", metavar="topic", nargs=1, help="such as /response")
+            action.add_argument("topics", metavar="topic", nargs=1, help="such as response: a name, or the end of one")
         elif name == "animate":
             action.add_argument(
                 "--against", type=Path, metavar="BAG", help="another test of it, to be drawn on the left"
@@ -55,7 +55,7 @@ def add_bag_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
             )
         elif name != "info":
             several = "+" if name == "plot" else "*"
-            action.add_argument("topics", metavar="topic", nargs=several, help="such as /response")
+            action.add_argument("topics", metavar="topic", nargs=several, help="such as response: a name, or the end of one")
         if name == "info":
             action.add_argument("--check", action="store_true", help="read everything, to find damage in any chunk")
         else:
@@ -131,15 +131,21 @@ def _naming(bag: Path) -> Iterator[None]:
 
 
 def _topics(bag: Path, asked: list[str]) -> list[str]:
-    """The topics asked for, all if none; a leading slash may be left out."""
+    """The topics asked for, all if none: by their names, or by ends of names that only one topic has."""
     from abrace_bags.bag import topic_names
 
     available = topic_names(bag)
-    topics = [topic if topic in available or topic.startswith("/") else f"/{topic}" for topic in asked]
-    missing = sorted(set(topics) - available)
-    if missing:
-        raise AbraceError(f"{bag}: no topic {missing[0]} in it, {expected_of(missing[0], available)}")
-    return topics
+    return [_topic(bag, topic, available) for topic in asked]
+
+
+def _topic(bag: Path, asked: str, available: set[str]) -> str:
+    slashed = asked if asked in available or asked.startswith("/") else f"/{asked}"
+    found = [slashed] if slashed in available else sorted(name for name in available if name.endswith(slashed))
+    if len(found) > 1:
+        raise AbraceError(f"{bag}: {len(found)} topics end in {slashed}, expected one of {', '.join(found)}")
+    if not found:
+        raise AbraceError(f"{bag}: no topic {slashed} in it, {expected_of(slashed, available)}")
+    return found[0]
 
 
 def bag_information(bag: Path, check: bool) -> str:
