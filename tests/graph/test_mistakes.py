@@ -168,6 +168,8 @@ MISTAKES = [
     ("abrace report folder.yaml", "results file .*timing.json: No such file or directory"),
     # disk and network
     (f"{VIEW} bag:=none", "none: no such bag, expected a bag directory or an MCAP file"),
+    (f"{VIEW} bag:={{bag}} -p response:=x", "parameter response: /x, bag has /response"),
+    (f"{VIEW} response:=a-b", "parameter response: a-b, .*"),
     (f"{VIEW} port:=70000", "parameter port: 70000, expected a whole number from 0 to 65535"),
     (f"{VIEW} host:=192.0.2.1", "server: cannot listen on 192.0.2.1, port 8765: .*"),
     (

@@ -10,6 +10,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import NameValidationException
 
 from abrace.report.node_table import NodeReports
 from abrace_bringup.nodes.live_topics import LiveTopics
@@ -20,14 +21,14 @@ from abrace_bringup.viewing.named_channels import RESPONSE_TYPE
 from abrace_bringup.viewing.page import PageServer, facts
 from abrace_bringup.viewing.server import NODES, ViewServer
 from abrace_core.errors import AbraceError
-from abrace_core.node import DIAGNOSTICS, DISPLAY_PERIOD, AbraceNode, Parameter, find_file, run
+from abrace_core.node import DIAGNOSTICS, DISPLAY_PERIOD, AbraceNode, Parameter, RCLError, find_file, rcl_message, run
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.model import Rig
 
 PARAMETERS = [
     Parameter("bag", "", "bag to play: a directory or a file; empty: the running graph"),
     Parameter("rig", "", "rig: a name or a file; empty: the bag's own, of the graph ncree_three_storey"),
-    Parameter("response", "", "topic of the rig's samples, by its full name; empty: the first that is found"),
+    Parameter("response", "", "topic of the rig's samples; empty: the first that is found"),
     Parameter("exaggeration", 20.0, "times which displacements are enlarged", minimum=1.0, maximum=1e4, live=True),
     Parameter("host", "127.0.0.1", "address to listen on; beyond this machine anybody may look", required=True),
     Parameter("port", 8765, "of the WebSocket server for Foxglove and Lichtblick", minimum=0, maximum=65535),
@@ -70,7 +71,7 @@ class Viewer(AbraceNode):
         self.display = Display(self.server, rig)
         self.page = PageServer(given.host, given.page_port, facts(rig, self.server.port, given.exaggeration))
         self.topics: LiveTopics | None = None
-        self.rig_topic = given.response
+        self.rig_topic = self.topic_of_rig()
         self.reports = NodeReports()
         self.problem = ""
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -93,6 +94,20 @@ class Viewer(AbraceNode):
         rig = recorded_rig(given.bag) if given.bag and not given.rig else None
         return rig or load_rig(find_file(given.rig or DEFAULT_RIG, "abrace_plant", "config", ".yaml", "rig"))
 
+    def topic_of_rig(self) -> str:
+        """The topic of the rig's samples; empty: the first that the graph will have, or none in the bag."""
+        given = self.parameters
+        try:
+            asked = self.resolve_topic_name(given.response) if given.response else ""
+        except (RCLError, NameValidationException) as error:
+            raise AbraceError(f"parameter response: {given.response}, {rcl_message(error)}") from error
+        if self.bag is None:
+            return asked
+        rigs = [name for name, definition in self.bag.topics.items() if definition.type_name == RESPONSE_TYPE]
+        if asked and asked not in rigs:
+            raise AbraceError(f"parameter response: {asked}, {given.bag} has {', '.join(rigs) or 'no such topics'}")
+        return asked or next(iter(rigs), "")
+
     def offer_bag(self, bag: BagSource) -> None:
         """Offer the topics of a bag."""
         for warning in bag.warnings:
@@ -100,8 +115,6 @@ class Viewer(AbraceNode):
         for name, definition in bag.topics.items():
             if name not in self.server.topics:
                 self.server.offer(name, definition)
-            if definition.type_name == RESPONSE_TYPE:
-                self.rig_topic = self.rig_topic or name
 
     def tick(self) -> None:
         """Pass on what has come, and show the rig."""
