@@ -16,6 +16,7 @@ from abrace_bags.definitions import message_definition, parse_message_type
 from abrace_bags.raw import read_raw
 from abrace_bringup.viewing.bag_source import BagSource
 from abrace_bringup.viewing.decimation import extremes
+from abrace_bringup.viewing.layout import layout
 from abrace_bringup.viewing.named_channels import RESPONSE_TYPE, ResponseReader, message, names_of, schema
 from abrace_bringup.viewing.scene import Scene, colour
 from abrace_bringup.viewing.server import CHANNELS, DESCRIPTION, SCENE
@@ -125,15 +126,19 @@ def test_the_layout_for_foxglove_shows_topics_and_channels_that_there_are():
     channels = set(re.findall(rf"{CHANNELS}\.(\w+)", text))
     assert {"x1", "a3", "f", "fa_utilisation", "state"} <= channels <= set(schema(names_of(3, [2]))["properties"])
     assert set(re.findall(r'"(/[\w/]+)[".]', text)) == {CHANNELS, SCENE, DESCRIPTION, "/diagnostics"}
-    layout = json.loads(text)
-    assert set(re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))) == set(layout["configById"])
+    installed = json.loads(text)
+    assert set(re.findall(r'"(\w+!\w+)"', json.dumps(installed["layout"]))) == set(installed["configById"])
+    assert layout(names_of(3, [2])) == installed, "of this rig it is the one for any"
+    others = names_of(FIVE.floors, FIVE.braces_in_group)
+    shown = re.findall(rf"{CHANNELS}\.(\w+)", json.dumps(layout(others)))
+    assert {"x5", "a5", "f2", "U2", "f1b_utilisation"} <= set(shown) <= {*others, "state"}
 
 
 def test_the_layout_for_plotjuggler_shows_fields_of_a_response():
     tree = ElementTree.parse(LAYOUTS / "plotjuggler.xml")
     curves = [curve.attrib["name"] for curve in tree.iter("curve")]
-    layout = parse_message_type(RESPONSE_TYPE, message_definition(RESPONSE_TYPE).text)
-    fields = {field.name for field in layout.fields[layout.name]}
+    parsed = parse_message_type(RESPONSE_TYPE, message_definition(RESPONSE_TYPE).text)
+    fields = {field.name for field in parsed.fields[parsed.name]}
     assert len(curves) > 10
     assert {re.fullmatch(r"/rig/response/(\w+)(\[\d\])?", curve)[1] for curve in curves} <= fields
 

@@ -82,6 +82,8 @@ def test_viewers_get_the_graph_as_it_is_and_a_building_that_moves_and_may_stop_i
         assert b"<canvas" in answer.read()
     with urllib.request.urlopen(f"{page}rig.json") as answer:
         assert json.load(answer)["port"] == port
+    with urllib.request.urlopen(f"{page}foxglove.json") as answer:
+        assert "3D!building" in json.load(answer)["configById"]
     with pytest.raises(urllib.error.HTTPError, match="404"):
         urllib.request.urlopen(f"{page}../etc/passwd")
     assert graph.stop("viewer") == 0

@@ -17,7 +17,8 @@ from abrace_bringup.nodes.live_topics import LiveTopics
 from abrace_bringup.nodes.viewer_operations import Operations
 from abrace_bringup.viewing.bag_source import BagSource, recorded_rig
 from abrace_bringup.viewing.display import Display
-from abrace_bringup.viewing.named_channels import RESPONSE_TYPE
+from abrace_bringup.viewing.layout import layout
+from abrace_bringup.viewing.named_channels import RESPONSE_TYPE, names_of
 from abrace_bringup.viewing.page import PageServer, facts
 from abrace_bringup.viewing.server import NODES, ViewServer
 from abrace_core.errors import AbraceError
@@ -69,7 +70,12 @@ class Viewer(AbraceNode):
             self.operations.set_parameters,
         )
         self.display = Display(self.server, rig)
-        self.page = PageServer(given.host, given.page_port, facts(rig, self.server.port, given.exaggeration))
+        self.page = PageServer(
+            given.host,
+            given.page_port,
+            facts(rig, self.server.port, given.exaggeration),
+            layout(names_of(rig.floors, rig.braces_in_group)),
+        )
         self.topics: LiveTopics | None = None
         self.rig_topic = self.topic_of_rig()
         self.reports = NodeReports()

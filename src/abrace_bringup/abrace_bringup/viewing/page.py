@@ -14,8 +14,8 @@ from abrace_core.installed import find_file
 if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
 
-PAGE, FACTS = "/", "/rig.json"
-"""Paths that are served: the page, and what it has to know."""
+PAGE, FACTS, LAYOUT = "/", "/rig.json", "/foxglove.json"
+"""Paths that are served: the page, what it has to know, and the layout of the rig for Foxglove."""
 
 
 def facts(rig: Rig, port: int, exaggeration: float) -> dict[str, Any]:
@@ -48,8 +48,10 @@ class PageServer:
     ----------
     host, port
         Where it listens; port 0: any that is free.
-    content
+    rig_facts
         What `facts` gives.
+    rig_layout
+        What `layout.layout` gives.
 
     Raises
     ------
@@ -57,9 +59,13 @@ class PageServer:
         If it can't listen there.
     """
 
-    def __init__(self, host: str, port: int, content: dict[str, Any]) -> None:
+    def __init__(self, host: str, port: int, rig_facts: dict[str, Any], rig_layout: dict[str, Any]) -> None:
         page = find_file("page", "abrace_bringup", "viewer", ".html", "page").read_bytes()
-        answers = {PAGE: ("text/html; charset=utf-8", page), FACTS: ("application/json", json.dumps(content).encode())}
+        answers = {
+            PAGE: ("text/html; charset=utf-8", page),
+            FACTS: ("application/json", json.dumps(rig_facts).encode()),
+            LAYOUT: ("application/json", json.dumps(rig_layout, indent=1).encode()),
+        }
 
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
