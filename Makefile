@@ -10,7 +10,7 @@ TEST_LIBRARIES := python -m pytest --numprocesses auto --dist loadscope --ignore
 PACKAGES := abrace_core abrace_bags abrace_plant abrace_sysid abrace_lqg abrace abrace_bringup
 # what a build copies or generates; Python modules are linked, edits to them need no build
 BUILT_FROM := $(shell find src -name package.xml -o -name 'setup.*' -o -name CMakeLists.txt -o -name '*.msg' \
-  -o -name '*.action' -o -path '*/config/*.yaml' -o -path '*/launch/*.py' -o -path '*/campaigns/*.yaml' -o -path '*/scripts/abrace' \
+  -o -name '*.action' -o -path '*/config/*.yaml' -o -path '*/launch/*.py' -o -path '*/campaigns/*.yaml' -o -path 'src/*/benchmarks/*.yaml' -o -path '*/scripts/abrace' \
   -o -path '*/scripts/make_keystore' -o -path '*/config/*.xml' \
   -o -path '*/abrace_bringup/viewer/*')
 

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import lqg_accuracy
 from ambient_accuracy import verify_ambient
 from bag_accuracy import verify_bags
+from benchmark_buildings import verify_benchmark20
 from bridge_claims import verify_bridge
 from buildings import verify_buildings
 from claims import Claim, claim_table
@@ -73,6 +74,9 @@ def parts(record: Path | None, measured: Path | None) -> dict[str, Part]:
         "coverage": Part((buildings, "coverage"), "true values within intervals, also with friction", verify_coverage),
         "interlocks": Part(("interlocks",), "margins in the paper's tests, and what trips them", verify_interlocks),
         "docs": Part(("docs",), "a building, a record and a law from the docs alone, to a report", verify_docs),
+        "benchmark20": Part(
+            ("benchmark20",), "the 20-storey benchmark building, and our LQG on it", verify_benchmark20
+        ),
         "bags": Part(("bags",), "killed loggers, power losses, damaged files", verify_bags),
         "bridge": Part(("bridge",), "malformed packets; the demo through emulator and bridge", verify_bridge),
         "safety": Part(("safety",), "every state with every event; what may go wrong, on running nodes", verify_safety),

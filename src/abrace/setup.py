@@ -10,6 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/abrace"]),
         ("share/abrace", ["package.xml"]),
         ("share/abrace/campaigns", sorted(glob("campaigns/*.yaml"))),
+        ("share/abrace/benchmarks", sorted(glob("benchmarks/*.yaml"))),
         ("bin", ["scripts/abrace"]),
     ],
     zip_safe=True,

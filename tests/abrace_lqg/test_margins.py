@@ -10,7 +10,7 @@ import pytest
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import LinearModel
 from abrace_core.simulation import simulate, simulate_closed_loop
-from abrace_lqg.analysis.margins import margins, margins_at
+from abrace_lqg.analysis.margins import common_gain_margin, margins, margins_at
 from abrace_lqg.loop import Loop, closed_loop, closed_loop_poles, is_stable, sampled
 
 PERIOD = 0.01
@@ -202,6 +202,19 @@ def test_margins_of_several_commands_are_the_worst_of_them():
     assert list(each) == ["U1", "U2"]
     assert found.gain == min(one.gain for one in each.values())
     assert found.sensitivity_peak == max(one.sensitivity_peak for one in each.values())
+
+
+def test_the_margin_of_all_commands_together_is_where_they_all_leave_stability():
+    model, controller = strong()
+    found = common_gain_margin(model, controller)
+    for share, stable in ((0.999, True), (1.001, False)):
+        edges = [10 ** (sign * share * found / 20) for sign in (1, -1)]
+        both = [is_stable(model, replace(controller, c=e * controller.c, d=e * controller.d)) for e in edges]
+        assert all(both) is stable
+    one = integrator(), gain(-40.0)
+    assert common_gain_margin(*one) == pytest.approx(margins(*one).gain, abs=2e-3)
+    with pytest.raises(AbraceError, match="the closed loop is not stable"):
+        common_gain_margin(integrator(), gain(-200.0))
 
 
 def test_with_one_sensor_and_one_command_it_does_not_matter_where_the_loop_is_broken():

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from abrace import completion
 from abrace.bag_command import add_bag_parser, bag_command
+from abrace.benchmark_command import add_benchmark_parser, benchmark_command
 from abrace.fragility_command import add_fragility_parser, fragility_command
 from abrace.processes.group import NodeDied, find_executable, terminate_as_exception
 from abrace.report_command import add_report_parser, report_command
@@ -66,6 +67,7 @@ def parser() -> OneLineParser:
     one_of.add_argument("--check", action="store_true", help="only check the file, and say what it will do")
     add_report_parser(commands)
     add_bag_parser(commands)
+    add_benchmark_parser(commands, lambda action: _completed(action, completion.benchmarks))
     add_fragility_parser(commands)
     commands.add_parser(
         "status",
@@ -151,6 +153,9 @@ def _carry_out(given: argparse.Namespace) -> int:
         return 0
     if given.command == "fragility":
         fragility_command(given)
+        return 0
+    if given.command == "benchmark":
+        benchmark_command(given)
         return 0
     check_environment()
     from abrace.campaign.course import run_campaign

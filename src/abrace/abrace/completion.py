@@ -35,8 +35,17 @@ def nodes(parsed_args: argparse.Namespace, **_: Any) -> set[str]:
 
 def campaigns(prefix: str, **_: Any) -> list[str]:
     """Campaigns by name, and files and folders that begin with `prefix`."""
+    return _named(prefix, "share/abrace/campaigns")
+
+
+def benchmarks(prefix: str, **_: Any) -> list[str]:
+    """Benchmarks and rigs by name, and files and folders that begin with `prefix`."""
+    return _named(prefix, "share/abrace/benchmarks", "share/abrace_plant/config")
+
+
+def _named(prefix: str, *places: str) -> list[str]:
     from argcomplete.completers import FilesCompleter
 
-    folders = [folder / "share/abrace/campaigns" for folder in prefixes()]
-    names = [path.stem for folder in folders for path in folder.glob("*.yaml")]
-    return [*names, *FilesCompleter(["yaml"])(prefix)]
+    folders = [folder / place for folder in prefixes() for place in places]
+    names = {path.stem for folder in folders for path in folder.glob("*.yaml")}
+    return [*sorted(names), *FilesCompleter(["yaml"])(prefix)]

@@ -13,7 +13,7 @@ import numpy as np
 
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import takes_models
-from abrace_lqg.loop import Loop
+from abrace_lqg.loop import Loop, closed_loop, eigenvalues, sampled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -31,6 +31,9 @@ MOST_STEPS = 40
 
 TOLERANCE = 1e-12
 """Relative change of a crossing's frequency at which the search ends."""
+
+LARGEST_GAIN, GAIN_STEP, GAIN_TOLERANCE = 20.0, 1.0, 1e-3
+"""Of `common_gain_margin`: to which it looks, in which steps, and how finely [dB]."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,48 @@ def margins_at(
     complementary = loop.complementary_sensitivity(omega)
     names = loop.signals if broken_at is None else broken_at
     return {name: _margins_of(loop, name, omega, complementary[:, loop.index(name)]) for name in names}
+
+
+@takes_models
+def common_gain_margin(model: LinearModel, controller: LinearModel) -> float:
+    """Least change of the gain of all commands at once, up or down, that makes a stable loop unstable [dB].
+
+    Infinite where none up to LARGEST_GAIN does. Devices that all push more than the model says, or a structure that is
+    lighter, are such a change.
+
+    Parameters
+    ----------
+    model, controller
+        As in `abrace_lqg.loop.closed_loop`.
+
+    Raises
+    ------
+    AbraceError
+        If the loop is not stable.
+    """
+    plant = sampled(model, controller.sample_period)
+    whole = closed_loop(plant, controller).a
+    in_force = slice(plant.order, plant.order + len(controller.outputs))
+
+    def stable(decibels: float) -> bool:
+        changed = whole.copy()
+        changed[:, in_force] *= 10 ** (decibels / 20)
+        return bool(np.abs(eigenvalues(changed)).max() < 1)
+
+    if not stable(0.0):
+        raise AbraceError("margins: the closed loop is not stable")
+    found = np.inf
+    for direction in (1, -1):
+        gains = np.arange(GAIN_STEP, min(LARGEST_GAIN, found) + GAIN_STEP, GAIN_STEP)
+        unstable = next((gain for gain in gains if not stable(direction * gain)), None)
+        if unstable is None:
+            continue
+        low, high = unstable - GAIN_STEP, unstable
+        while high - low > GAIN_TOLERANCE:
+            middle = (low + high) / 2
+            low, high = (middle, high) if stable(direction * middle) else (low, middle)
+        found = min(found, high)
+    return float(found)
 
 
 def _margins_of(loop: Loop, signal: str, omega: NDArray[np.float64], complementary: NDArray[np.complex128]) -> Margins:

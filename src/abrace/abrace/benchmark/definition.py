@@ -1,0 +1,210 @@
+"""The benchmark file: YAML that names a building, its devices and sensors, and the earthquakes, checked key by key."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import pydantic
+
+from abrace_core.config_file import Checked, read_config, read_mapping
+from abrace_core.errors import AbraceError
+from abrace_core.installed import find_file
+
+DATA = "BENCHMARK_DATA"
+"""Environment variable: the folder that holds `records/`, the ground motions that abrace does not ship."""
+
+SMALLEST = "sac_la_3"
+"""A benchmark that there is."""
+
+Positive = Annotated[float, pydantic.Field(gt=0)]
+Count = Annotated[int, pydantic.Field(ge=0)]
+
+
+class Devices(Checked):
+    """Ideal force devices between the levels.
+
+    Parameters
+    ----------
+    per_storey
+        (storeys,) equal devices with one command each storey, the lowest first.
+    capacity
+        Of one device [N], at the end of the converter's range.
+    """
+
+    per_storey: Annotated[list[Count], pydantic.Field(min_length=1)]
+    capacity: Positive
+
+
+class Sensors(Checked):
+    """Accelerometers, and the converters of sensors and devices.
+
+    Parameters
+    ----------
+    range
+        [m/s^2] at the end of the converter's range.
+    noise
+        Standard deviation [m/s^2].
+    bits
+        Of the converters, to both sides of zero.
+    """
+
+    range: Positive
+    noise: Annotated[float, pydantic.Field(ge=0)]
+    bits: Annotated[int, pydantic.Field(ge=2, le=32)]
+
+
+class Case(Checked):
+    """One run.
+
+    Parameters
+    ----------
+    record
+        A known record, or a file below `records/` of the folder that BENCHMARK_DATA names.
+    intensity
+        Factor on it.
+    uncontrolled
+        What criteria are divided by, as `criteria.peaks` names it; None: what an own run without control gives.
+    """
+
+    record: str
+    intensity: Positive
+    uncontrolled: dict[str, Positive] | None = None
+
+    @property
+    def name(self) -> str:
+        """Record and intensity in short."""
+        return f"{Path(self.record).stem} x {self.intensity:g}"
+
+
+class Definition(Checked):
+    """A benchmark of a building of plane frames.
+
+    Parameters
+    ----------
+    name
+        Of the benchmark.
+    frame
+        Frame file, by name or path.
+    sample_period, duration
+        Of controllers and criteria, and of each run [s].
+    devices, sensors
+        As built in.
+    weights
+        Of abrace's own controller: a weights file of `abrace_lqg`, by name or path.
+    measured
+        What the sample controller measures, such as `a4`.
+    design_states
+        Of the model that they are designed on.
+    cases
+        The runs.
+    """
+
+    name: str
+    frame: str
+    sample_period: Positive
+    duration: Positive
+    devices: Devices
+    sensors: Sensors
+    weights: str
+    measured: Annotated[list[str], pydantic.Field(min_length=1)]
+    design_states: Annotated[int, pydantic.Field(ge=2)]
+    cases: Annotated[list[Case], pydantic.Field(min_length=1)]
+
+
+class RigCase(Checked):
+    """One run of a rig.
+
+    Parameters
+    ----------
+    record
+        A known record, or a file.
+    peak_acceleration
+        To which it is scaled [m/s^2].
+    """
+
+    record: str
+    peak_acceleration: Positive
+
+    @property
+    def name(self) -> str:
+        """Record and peak in short."""
+        return f"{Path(self.record).stem} {self.peak_acceleration:.3g} m/s²"
+
+
+class RigDefinition(Checked):
+    """A benchmark of a rig.
+
+    Parameters
+    ----------
+    name
+        Of the benchmark.
+    rig
+        Rig file, by name or path.
+    duration
+        Of each run [s].
+    weights
+        Of the reference controllers, which are designed on the rig's own model.
+    cases
+        The runs.
+    """
+
+    name: str
+    rig: str
+    duration: Positive
+    weights: list[str] = []
+    cases: Annotated[list[RigCase], pydantic.Field(min_length=1)]
+
+
+def is_benchmark(name: str) -> bool:
+    """Whether a `name` is that of a benchmark file; False: of a rig, or of nothing.
+
+    Raises
+    ------
+    AbraceError
+        If it is a path of no file.
+    """
+    if name.endswith(".yaml") or "/" in name:
+        return "cases" in read_mapping(find_file(name, "abrace", "benchmarks", ".yaml", "benchmark"), "benchmark")
+    return name in benchmark_names()
+
+
+def benchmark_names() -> list[str]:
+    """Names of the benchmarks that abrace has."""
+    return [
+        path.stem for path in find_file(SMALLEST, "abrace", "benchmarks", ".yaml", "benchmark").parent.glob("*.yaml")
+    ]
+
+
+def load_definition(name: str) -> Definition | RigDefinition:
+    """Read a benchmark file, by its path or by the name of one of abrace's; it names a `frame` or a `rig`.
+
+    Raises
+    ------
+    AbraceError
+        Naming the file, the key, the value and what was expected.
+    """
+    path = find_file(name, "abrace", "benchmarks", ".yaml", "benchmark")
+    if "rig" in read_mapping(path, "benchmark"):
+        return read_config(path, RigDefinition, "benchmark")
+    return read_config(path, Definition, "benchmark")
+
+
+def record_path(name: str) -> str:
+    """Where the record of a case is: a known name as it is, else a file in the folder of the benchmarks' data.
+
+    Raises
+    ------
+    AbraceError
+        If it is neither there nor a file by itself.
+    """
+    if not Path(name).suffix or Path(name).is_file():
+        return name
+    folder = os.environ.get(DATA)
+    if not folder:
+        raise AbraceError(f"benchmark record {name}: not shipped, expected {DATA} to name the folder of records/{name}")
+    path = Path(folder) / "records" / name
+    if not path.is_file():
+        raise AbraceError(f"benchmark record {path}: no such file, expected it in the folder that {DATA} names")
+    return str(path)

@@ -1,0 +1,163 @@
+"""A benchmark on a rig: its linear model under recorded earthquakes, and recorded tests of it.
+
+Responses of a controller are those of the rig's linear model, exact, with the timing and the saturation of the graph;
+those of a bag are what the rig's sensors measured, velocities from displacements.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from abrace.benchmark.criteria import Layout, Responses, criteria, peaks
+from abrace.benchmark.definition import record_path
+from abrace_core.discretization import discretize
+from abrace_core.errors import AbraceError
+from abrace_core.installed import find_file
+from abrace_core.simulation import simulate, simulate_closed_loop
+from abrace_plant.records.files import read_record
+from abrace_plant.records.treatment import BAND_LIMIT, Treatment, prepare
+from abrace_plant.rig.file import load_rig
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace.benchmark.definition import RigCase, RigDefinition
+    from abrace_core.controller_file import Controller
+    from abrace_core.linear_model import LinearModel
+    from abrace_core.run import Run
+
+VELOCITY_SPAN = 0.04
+"""Of a cubic through measured displacements, whose slope is their velocity [s]."""
+
+
+class RigBenchmark:
+    """A benchmark as its file defines it.
+
+    Parameters
+    ----------
+    definition
+        Of the benchmark.
+
+    Raises
+    ------
+    AbraceError
+        If the rig file is missing or wrong.
+    """
+
+    def __init__(self, definition: RigDefinition) -> None:
+        self.definition = definition
+        self._uncontrolled: dict[str, dict[str, float]] = {}
+        self.rig = load_rig(find_file(definition.rig, "abrace_plant", "config", ".yaml", "rig"))
+        braces = self.rig.braces
+        self.layout = Layout(
+            self.rig.building.masses,
+            np.full(self.rig.floors, self.rig.storey_height),
+            tuple(group.floor for group in braces),
+            tuple(group.count for group in braces),
+            tuple(group.cosine for group in braces),
+        )
+
+    @cached_property
+    def model(self) -> LinearModel:
+        """The rig's continuous model, velocities `v1` ... of the floors relative to the table among its outputs."""
+        model, floors = self.rig.model, self.rig.floors
+        rates = np.zeros((floors, model.order))
+        first = floors + len(self.rig.local_modes)
+        rates[:, first : first + floors] = np.eye(floors)
+        return replace(
+            model,
+            c=np.vstack([model.c, rates]),
+            d=np.vstack([model.d, np.zeros((floors, len(model.inputs)))]),
+            outputs=(*model.outputs, *(f"v{i + 1}" for i in range(floors))),
+        )
+
+    @cached_property
+    def plant(self) -> LinearModel:
+        """The exact discrete model at the rig's rate."""
+        return discretize(self.model, 1 / self.rig.sample_rate)
+
+    @property
+    def design_model(self) -> LinearModel:
+        """What controllers are designed on: the rig's own model."""
+        return self.rig.model
+
+    def ground(self, case: RigCase) -> NDArray[np.float64]:
+        """(samples,) acceleration of the table in a `case` [m/s^2], treated as the node `ground_motion` does it."""
+        treatment = Treatment(
+            peak_acceleration=case.peak_acceleration, duration=self.definition.duration, band_limit=BAND_LIMIT
+        )
+        return prepare(read_record(record_path(case.record)), self.rig.sample_rate, treatment)
+
+    def _responses(self, outputs: NDArray[np.float64]) -> Responses:
+        named = dict(zip(self.plant.outputs, outputs.T, strict=True))
+        floors, groups = range(1, self.rig.floors + 1), self.rig.model.outputs[2 * self.rig.floors + self.rig.groups :]
+        x, v, a = (np.column_stack([named[f"{kind}{i}"] for i in floors]) for kind in "xva")
+        force = np.column_stack([named[name] for name in groups])
+        return Responses(self.plant.sample_period, x, v, a, force)
+
+    def without_control(self, case: RigCase) -> Responses:
+        """A run of a `case` with zero command: the braces push what their servos leave."""
+        inputs = np.zeros((len(ground := self.ground(case)), len(self.plant.inputs)))
+        inputs[:, 0] = ground
+        return self._responses(simulate(self.plant, inputs))
+
+    def evaluate(
+        self, controller: Controller, cases: Sequence[RigCase] | None = None
+    ) -> dict[str, tuple[dict[str, float], Responses]]:
+        """Criteria and responses with a controller, by the name of each case; None: the benchmark's cases."""
+        found = {}
+        for case in self.definition.cases if cases is None else cases:
+            outputs, _ = simulate_closed_loop(
+                self.plant, controller.law, self.ground(case), controller.force_limit, controller.correction
+            )
+            if not np.isfinite(outputs).all():
+                raise AbraceError(f"benchmark {self.definition.name}: {case.name}: the loop is not stable")
+            responses = self._responses(outputs)
+            law = controller.law
+            values = criteria(responses, self.layout, self.uncontrolled(case), len(law.inputs), law.order)
+            found[case.name] = values, responses
+        return found
+
+    def uncontrolled(self, case: RigCase) -> Mapping[str, float]:
+        """What a `case`'s criteria are divided by: a run with zero command."""
+        if case.name not in self._uncontrolled:
+            self._uncontrolled[case.name] = peaks(self.without_control(case), self.layout)
+        return self._uncontrolled[case.name]
+
+    def recorded(self, run: Run) -> Responses:
+        """What a recorded test of the rig, a `run`, gave.
+
+        Raises
+        ------
+        AbraceError
+            If it is a test of another rig, or a part of it is missing.
+        """
+        rig = self.rig
+        if (run.floors, run.groups) != (rig.floors, rig.groups):
+            raise AbraceError(
+                f"{run.source}: {run.floors} floors and {run.groups} brace groups, expected those of {rig.name}: "
+                f"{rig.floors} and {rig.groups}"
+            )
+        if np.any(np.diff(run.sequence.astype(np.int64)) != 1):
+            raise AbraceError(f"{run.source}: samples are missing, expected a whole test")
+        x = run.outputs[:, : rig.floors]
+        span = 2 * round(VELOCITY_SPAN / run.sample_period / 2) + 1
+        if len(x) < span:
+            raise AbraceError(f"{run.source}: {len(x)} samples, expected {span} or more")
+        velocity = savgol_filter(x, span, 3, deriv=1, delta=run.sample_period, axis=0)
+        first = rig.floors + rig.groups
+        acceleration, force = run.outputs[:, first : first + rig.floors], run.outputs[:, first + rig.floors :]
+        return Responses(run.sample_period, x, velocity, acceleration, force)
+
+    def of_tests(self, controlled: Run, uncontrolled: Run) -> tuple[dict[str, float], Responses]:
+        """Criteria of a `controlled` test beside an `uncontrolled` one, and its responses."""
+        without: Mapping[str, float] = peaks(self.recorded(uncontrolled), self.layout)
+        found = self.recorded(controlled)
+        return criteria(found, self.layout, without), found

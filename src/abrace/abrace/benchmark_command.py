@@ -1,0 +1,195 @@
+"""`abrace benchmark`: a controller on a benchmark building or rig, beside the reference controllers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from abrace_core.errors import AbraceError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable, Iterable, Sequence
+
+    from abrace.benchmark.comparison import Evaluation
+    from abrace.benchmark.laws import AnyBenchmark
+    from abrace_core.command_line import OneLineParser
+
+RESULTS = Path("results/benchmark")
+EXAMPLES = """examples:
+  abrace benchmark ncree_three_storey                          LQG1 to LQG5: results/benchmark/ncree_three_storey
+  abrace benchmark ncree_three_storey --controller mine.yaml   a controller file beside them
+  abrace benchmark ncree_three_storey --controller skyhook/skyhook   a node, in the live graph in lockstep
+  abrace benchmark ncree_three_storey --bag bags/lqg3 --uncontrolled bags/free   a recorded test
+  BENCHMARK_DATA=folder abrace benchmark sac_la_20 --controller mine.yaml        with the records in folder/records
+  abrace benchmark sac_la_20 --record el_centro                any record; uncontrolled values of its own
+  abrace benchmark ncree_three_storey --export shared          model, motions and laws for other programs"""
+RIG_PEAK = 0.980665
+"""Of a record given for a rig, or for a rig without a benchmark file: 0.1 g [m/s^2]."""
+
+
+def add_benchmark_parser(
+    commands: argparse._SubParsersAction[OneLineParser],
+    completed: Callable[[argparse.Action], None],
+) -> None:
+    """Add `benchmark` to the command's `commands`; `completed` has the shell complete its name."""
+    benchmark = commands.add_parser(
+        "benchmark", help="criteria J1 to J17 of a controller on a benchmark, beside reference ones", epilog=EXAMPLES
+    )
+    completed(
+        benchmark.add_argument("name", help="a benchmark or a rig, by name or file: sac_la_20, ncree_three_storey")
+    )
+    benchmark.add_argument(
+        "--controller",
+        action="append",
+        default=[],
+        metavar="FILE|NODE",
+        help="controller file, PACKAGE/EXECUTABLE or Python file of a law; may be given several times",
+    )
+    benchmark.add_argument(
+        "--record",
+        action="append",
+        default=[],
+        metavar="RECORD",
+        help="name or file, instead of the benchmark's: as recorded, a rig's at 0.1 g; may be given several times",
+    )
+    benchmark.add_argument("--bag", metavar="BAG", help="a recorded test of the rig, instead of runs of a controller")
+    benchmark.add_argument("--uncontrolled", metavar="BAG", help="the same motion of the table with zero command")
+    benchmark.add_argument(
+        "--noise", type=int, metavar="SEED", help="run a frame's sensors with the benchmark's noise, of this seed"
+    )
+    benchmark.add_argument("--export", type=Path, metavar="FOLDER", help="only write model, motions and laws there")
+
+
+def benchmark_command(given: argparse.Namespace) -> None:
+    """Carry out `abrace benchmark` with the arguments `given`."""
+    from abrace.benchmark.export import export_benchmark
+
+    if (given.bag is None) != (given.uncontrolled is None):
+        raise AbraceError("benchmark: --bag and --uncontrolled, expected both or neither")
+    if given.noise is not None and given.noise < 0:
+        raise AbraceError(f"--noise: {given.noise}, expected a seed from 0 on")
+    benchmark = open_benchmark(given.name, given.record, given.noise)
+    folder = RESULTS / benchmark.definition.name
+    if given.export is not None:
+        for path in export_benchmark(benchmark, given.export):
+            print(f"wrote {path}")
+        return
+    evaluations = list(_given_ones(benchmark, given, folder))
+    if given.bag is None:
+        evaluations += _references(benchmark)
+    if not evaluations:
+        raise AbraceError(f"benchmark {given.name}: no reference controller, expected --controller or --bag")
+    print(_write(benchmark, evaluations, folder))
+    print(f"wrote {folder / 'report.html'}")
+
+
+def open_benchmark(name: str, records: Iterable[str] = (), noise_seed: int | None = None) -> AnyBenchmark:
+    """A benchmark, or a rig as one, by name or file.
+
+    Parameters
+    ----------
+    name
+        Of a benchmark file, or of a rig file.
+    records
+        Instead of the benchmark's.
+    noise_seed
+        Of a frame's sensors; None: no noise.
+
+    Raises
+    ------
+    AbraceError
+        If there is none of that name, or its file is wrong.
+    """
+    from abrace.benchmark.definition import Case, RigCase, RigDefinition, is_benchmark, load_definition
+    from abrace.benchmark.frame_benchmark import FrameBenchmark
+    from abrace.benchmark.rig_benchmark import RigBenchmark
+
+    records = list(records)
+    if is_benchmark(name):
+        definition = load_definition(name)
+    else:
+        case = RigCase(record="el_centro", peak_acceleration=RIG_PEAK)
+        definition = RigDefinition(name=Path(name).stem, rig=name, duration=100.0, cases=[case])
+    if isinstance(definition, RigDefinition):
+        if noise_seed is not None:
+            raise AbraceError("--noise: given with a rig, expected a benchmark of a frame: a rig's runs are linear")
+        if records:
+            cases = [RigCase(record=record, peak_acceleration=RIG_PEAK) for record in records]
+            definition = definition.model_copy(update={"cases": cases})
+        return RigBenchmark(definition)
+    if records:
+        own = [Case(record=record, intensity=1.0) for record in records]
+        definition = definition.model_copy(update={"cases": own})
+    return FrameBenchmark(definition, noise_seed)
+
+
+def _given_ones(benchmark: AnyBenchmark, given: argparse.Namespace, folder: Path) -> Iterable[Evaluation]:
+    """What was asked for: controllers, nodes, a recorded test."""
+    from abrace.benchmark.comparison import Evaluation
+    from abrace.benchmark.laws import margins_of
+    from abrace.benchmark.live import is_node, run_live
+    from abrace.benchmark.rig_benchmark import RigBenchmark
+    from abrace_bags import read_run
+    from abrace_core.controller_file import load_controller
+
+    if given.bag is not None:
+        if not isinstance(benchmark, RigBenchmark):
+            raise AbraceError(f"--bag: given with {given.name}, expected a benchmark of a rig")
+        found = {Path(given.bag).name: benchmark.of_tests(read_run(given.bag), read_run(given.uncontrolled))}
+        yield Evaluation.of("recorded", found, benchmark.layout)
+    for one in given.controller:
+        if is_node(one):
+            if not isinstance(benchmark, RigBenchmark):
+                raise AbraceError(f"--controller {one}: a node, expected a benchmark of a rig for it")
+            yield Evaluation.of(Path(one).stem, run_live(benchmark, one, folder), benchmark.layout)
+            continue
+        controller = load_controller(one)
+        found = benchmark.evaluate(controller)
+        yield Evaluation.of(Path(one).stem, found, benchmark.layout, margins_of(benchmark, controller))
+
+
+def _references(benchmark: AnyBenchmark) -> list[Evaluation]:
+    from abrace.benchmark.comparison import Evaluation
+    from abrace.benchmark.laws import margins_of, references
+
+    return [
+        Evaluation.of(name, benchmark.evaluate(law), benchmark.layout, margins_of(benchmark, law))
+        for name, law in references(benchmark).items()
+    ]
+
+
+def _write(benchmark: AnyBenchmark, evaluations: list[Evaluation], folder: Path) -> str:
+    """Write criteria.json, figures, report.html and report.md; returns the table as text."""
+    from abrace.benchmark.comparison import Profile, case_tables, worst_table
+    from abrace.benchmark.figures import criteria_figure, profile_figure
+    from abrace.report.page import page
+    from abrace.report.sections import Picture, Section, markdown
+    from abrace_core.drawing import save_figure
+    from abrace_core.files import write_text
+
+    name = benchmark.definition.name
+    table, tables = worst_table(f"Benchmark {name}", evaluations), case_tables(evaluations)
+    content: dict[str, Any] = {one.name: {"cases": one.cases, "margins": one.margins} for one in evaluations}
+    save_figure(criteria_figure(name, evaluations), folder / "criteria.png")
+    pictures = [Picture(folder / "criteria.png")]
+    known: Sequence[Any] = benchmark.definition.cases
+    for i, case in enumerate(known, 1):
+        shown = [one for one in evaluations if case.name in one.profiles]
+        if not shown:
+            continue
+        free = Profile.of(benchmark.without_control(case), benchmark.layout)
+        path = folder / f"profile_{i}.png"
+        save_figure(profile_figure(name, case.name, free, shown), path)
+        pictures.append(Picture(path))
+    sections = [
+        Section("Criteria", (table, pictures[0])),
+        Section("Over the height", tuple(pictures[1:])),
+        Section("Each case", tuple(tables)),
+    ]
+    sections = [section for section in sections if section.parts]
+    write_text(folder / "criteria.json", json.dumps(content, indent=1) + "\n")
+    write_text(folder / "report.md", markdown(f"Benchmark {name}", sections, folder))
+    write_text(folder / "report.html", page(f"Benchmark {name}", "docs/benchmarks.md says what each row is", sections))
+    return table.text()
