@@ -7,7 +7,8 @@ lockstep       the demo's closed loop (plant, ground motion, controller, logger,
                bare echo of the same messages between two processes, and a bare graph of four, measured just before and
                just after
 controller, loop, lqr_agreement  a step of LQG3, its answer over DDS and the echo, its gains and python-control's
-explore        1000 closed loops of 50 000 steps, designs and margins included, on all cores
+explore        1000 closed loops of 50 000 steps, designs and margins included, on all cores; 100 000 of them, linear
+               and saturating, and a million of 5 000 steps, from models to files; their cost drawn
 reading        the responses of that run's bag to arrays, against `rosbags`
 bags           1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`
 report         report.html of the demo: `abrace report` as a process of its own, its size, and a headless Chromium
@@ -191,6 +192,11 @@ def controller_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
         ("LQR and filter gains, difference", f"{found['lqr_agreement']:.1e}", "1e-8", "python-control", "-"),
         ("Eq. (13), difference", f"{found['tustin_agreement']:.1e}", "-", "scipy cont2discrete", "-"),
         ("1000 closed loops of 50 000 steps, s", f"{explore['seconds_1000']:.1f}", "15", "-", "-"),
+        ("100 000 closed loops of 50 000 steps, s", f"{explore['seconds_100000']:.0f}", "110", "-", "-"),
+        ("the same, saturating, s", f"{explore['seconds_100000_saturating']:.0f}", "180", "-", "-"),
+        ("1 000 000 of 5 000 steps, resumed once, s", f"{explore['seconds_million_short']:.0f}", "180", "-", "-"),
+        ("memory of a process in them, MB", f"{explore['memory_mb']:.0f}", "2000 in all", "-", "-"),
+        ("Dask and files beside the loops, %", f"{100 * explore['dask_share']:.1f}", "5", "-", "-"),
     ]
 
 

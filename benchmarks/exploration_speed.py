@@ -4,6 +4,7 @@
 with, the consistent model of 13 for simulation and margins. The time includes designs, margins, peak and rms of every
 channel, and sending models and records to the processes; starting and ending the processes is timed separately. A
 process loads its modules for its first set: `first_set_seconds` is the time until that is done, part of `seconds_1000`.
+Many more loops: `fragility_speed`.
 
 python benchmarks/exploration_speed.py
 """
@@ -14,11 +15,13 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fragility_speed import fragility_speed
 from laboratory import Laboratory
 from simulation import ONE_THREAD, SOURCE
 
@@ -32,13 +35,14 @@ def exploration_speed() -> dict[str, Any]:
     script = Path(__file__).resolve()
     ran = subprocess.run([sys.executable, str(script)], env=os.environ | ONE_THREAD, check=True, stdout=subprocess.PIPE)
     found: dict[str, Any] = json.loads(ran.stdout)
-    return found
+    return found | fragility_speed()
 
 
 def measure() -> dict[str, Any]:
     """Seconds; for bench.json."""
-    from abrace_lqg.exploration.cluster import cluster, explore
+    from abrace_lqg.exploration.cluster import cluster
     from abrace_lqg.exploration.ensemble import noise_motion
+    from abrace_lqg.exploration.run import explore
     from abrace_lqg.exploration.study import Study, evaluate
     from abrace_lqg.exploration.weight_sets import weight_sets
     from abrace_lqg.weights import load_weights
@@ -60,10 +64,17 @@ def measure() -> dict[str, Any]:
 
     first: list[float] = []
     started = time.perf_counter()
-    with cluster() as client:
+    with cluster() as client, tempfile.TemporaryDirectory() as folder:
         begin = time.perf_counter()
         processes = len(client.ncores())
-        outcomes = explore(study, sets, client, lambda _done: first.append(time.perf_counter() - begin))
+        address = str(client.scheduler_info()["address"])
+        outcomes = explore(
+            study,
+            sets,
+            folder,
+            scheduler=address,
+            progress=lambda done: first.append(time.perf_counter() - begin) if done else None,
+        )
         done = time.perf_counter()
     return {
         "seconds_1000": done - begin,

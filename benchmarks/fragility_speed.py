@@ -10,9 +10,9 @@ short       1 000 000 linear loops of 5 000 steps: 1000 models, 20 controllers, 
 The loops with zero command, one for twenty others, and the starts and ends of the processes are part of the time, not
 of the count. `kernel` is the processor time of one loop in this process, without Dask and files; `cost` the same over
 steps, states and loops. `dask_share` is what Dask and files cost: processor seconds of all processes over those of the
-plain kernel, less one.
+plain kernel in them, less one.
 
-python benchmarks/fragility_speed.py [linear] [saturating] [short] [kernel] [cost] [dask]
+python benchmarks/fragility_speed.py [linear] [saturating] [short] [kernel] [cost] [dask]    # all without a name
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ import numpy as np
 from simulation import ONE_THREAD, SOURCE
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from abrace_lqg.fragility.study import FragilityStudy
 
 PERIOD, CONTROLLERS, NOISES = 0.002, 20, 50
@@ -168,7 +170,7 @@ def kernel() -> dict[str, float]:
 
 
 def cost() -> dict[str, list[tuple[float, float]]]:
-    """Processor milliseconds over steps, over states, and of so many loops; drawn in results/exploration_cost.png."""
+    """Processor milliseconds over steps, over states, and of so many loops."""
     given = study(1, 50_000, WEAK)
     steps: list[tuple[float, float]] = []
     for count in (2500, 5000, 10_000, 20_000, 50_000):
@@ -191,52 +193,54 @@ def _larger(given: FragilityStudy, extra: int) -> Any:
     return replace(model, a=a, b=b, c=np.hstack([model.c, np.zeros((len(model.c), extra))]))
 
 
-def draw_cost(found: dict[str, list[tuple[float, float]]], workers: list[tuple[float, float]], path: Path) -> None:
-    """Cost over loops, steps, states and workers."""
+def drawn_cost(path: Path) -> dict[str, list[tuple[float, float]]]:
+    """Cost over loops, steps, states and workers, drawn."""
     from matplotlib.figure import Figure
 
     from abrace_core.drawing import MEASURED, REFERENCE, save_figure
 
+    found = cost() | {"workers": workers()}
     figure = Figure(figsize=(12, 3.4), layout="constrained")
-    for axis, (name, points) in zip(figure.subplots(1, 4), ({**found, "workers": workers}).items(), strict=True):
+    for axis, (name, points) in zip(figure.subplots(1, 4), found.items(), strict=True):
         x, y = np.array(points).T
         axis.loglog(x, y, "o-", color=MEASURED)
         axis.loglog(x, y[0] * (x / x[0]) ** (-1 if name == "workers" else 1), "--", color=REFERENCE)
         axis.set(xlabel=name, ylabel="s" if name == "workers" else "processor ms")
         axis.grid(alpha=0.3)
     save_figure(figure, path)
+    return found
 
 
 def dask_share() -> dict[str, float]:
-    """What Dask and files cost beside the plain kernel, for batches of about a second, in one process each."""
-    from abrace_lqg.exploration.run import compute_missing
+    """What Dask and files cost for batches of a second: processor time outside `compute_batch` over that inside."""
+    from abrace_lqg.exploration.cluster import cluster, compute
+    from abrace_lqg.exploration.parts import Parts
+
+    given = study(8, 50_000, WEAK)
+    batches = given.batches()
+    inside: list[float] = []
+    everything: list[float] = []
+    with tempfile.TemporaryDirectory() as name, cluster(workers=1) as client:
+        parts = Parts(name, "inputs", len(batches))
+
+        def note(numbered: tuple[int, Any], result: tuple[Any, float]) -> None:
+            parts.write(numbered[0], result[0])
+            inside.append(result[1])
+            everything.append(_all_cpu())
+
+        compute(client, _timed_batch, given, list(enumerate(batches)), note)
+    # from the first batch on: without the start of the process, its imports, and the sending of the study
+    spent, worked = everything[-1] - everything[0], sum(inside[1:])
+    return {"batches": len(batches), "cpu_seconds_a_batch": worked / len(inside[1:]), "dask_share": spent / worked - 1}
+
+
+def _timed_batch(given: FragilityStudy, numbered: tuple[int, Any]) -> tuple[Any, float]:
+    """The table of a batch, and the processor seconds of this thread for it."""
     from abrace_lqg.fragility.loops import compute_batch
 
-    given = study(2, 50_000, WEAK)
-    batches = given.batches()
-    for batch in batches[:1]:
-        compute_batch(given, batch)
-    begin = time.process_time()
-    for batch in batches:
-        compute_batch(given, batch)
-    plain = time.process_time() - begin
-    with tempfile.TemporaryDirectory() as name:
-        spent: list[float] = []
-        times: list[float] = []
-
-        def note(_done: int, _all: int) -> None:
-            spent.append(_all_cpu())
-            times.append(time.perf_counter())
-
-        compute_missing(compute_batch, given, batches, Path(name) / "loops", workers=1, progress=note)
-    # from the first finished batch on: without the start of the process and its imports
-    per_batch = (spent[-1] - spent[1]) / (len(spent) - 2)
-    return {
-        "plain_cpu_seconds_a_batch": plain / len(batches),
-        "cpu_seconds_a_batch": per_batch,
-        "seconds_a_batch": (times[-1] - times[1]) / (len(times) - 2),
-        "dask_share": per_batch / (plain / len(batches)) - 1,
-    }
+    begin = time.thread_time()
+    table = compute_batch(given, numbered[1])
+    return table, time.thread_time() - begin
 
 
 def _all_cpu() -> float:
@@ -247,30 +251,68 @@ def _all_cpu() -> float:
     return float(sum(sum(process.cpu_times()[:2]) for process in processes))
 
 
+def workers() -> list[tuple[float, float]]:
+    """Seconds of a thousand linear loops by the number of processes of this machine."""
+    from abrace_lqg.exploration.cluster import cluster, compute
+    from abrace_lqg.fragility.loops import compute_batch
+
+    given = study(1, 50_000, WEAK)
+    found = []
+    for count in range(1, 1 + (os.cpu_count() or 1)):
+        with cluster(workers=count) as client:
+            halves = [tuple(case for case in given.cases() if case.controller is not None)[i::4] for i in range(4)]
+            compute(client, compute_batch, given, halves, lambda _batch, _table: None)  # imports, and the study
+            begin = time.perf_counter()
+            compute(client, compute_batch, given, halves, lambda _batch, _table: None)
+            found.append((float(count), time.perf_counter() - begin))
+    return found
+
+
 def fragility_speed() -> dict[str, Any]:
-    """All of it, for bench.json."""
-    found: dict[str, Any] = {which: whole(which) for which in SIZES}
+    """All of it in a process of its own, for bench.json; draws results/exploration_cost.png."""
+    script = Path(__file__).resolve()
+    ran = subprocess.run(
+        [sys.executable, str(script), *PARTS],
+        env=os.environ | ONE_THREAD,
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    found: dict[str, Any] = {}
+    for line in ran.stdout.splitlines():
+        found |= json.loads(line)
+    many = {which: found.pop(which) for which in SIZES}
     return {
-        "seconds_100000": found["linear"]["seconds"],
-        "seconds_100000_saturating": found["saturating"]["seconds"],
-        "seconds_million_short": found["short"]["seconds"],
-        "many": found,
-        "kernel": kernel(),
-        **dask_share(),
+        "seconds_100000": many["linear"]["seconds"],
+        "seconds_100000_saturating": many["saturating"]["seconds"],
+        "seconds_million_short": many["short"]["seconds"],
+        "memory_mb": max(each["memory_mb_of_a_process"] for each in many.values()),
+        "many": many,
+        **found.pop("dask"),
+        **found,
     }
 
 
+PARTS: dict[str, Callable[[], Any]] = {
+    "linear": lambda: whole("linear"),
+    "saturating": lambda: whole("saturating"),
+    "short": lambda: whole("short"),
+    "kernel": kernel,
+    "cost": lambda: drawn_cost(Path("results/exploration_cost.png")),
+    "dask": dask_share,
+}
+
+
 def main() -> None:
-    """One run in this process, or what the arguments name, printed as JSON."""
+    """One run in this process, or what the arguments name, a line of JSON each."""
     if sys.argv[1:2] == ["run"]:
         try:
             run(sys.argv[2], Path(sys.argv[3]))
         except KeyboardInterrupt:
             sys.exit(130)
         return
-    parts = {"kernel": kernel, "cost": cost, "dask": dask_share} | {w: lambda w=w: whole(w) for w in SIZES}
-    for name in sys.argv[1:] or parts:
-        print(json.dumps({name: parts[name]()}, indent=1), flush=True)
+    for name in sys.argv[1:] or PARTS:
+        print(json.dumps({name: PARTS[name]()}), flush=True)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ ends    200 nodes of all kinds interrupted twice at random moments; where there 
 wrong   10 000 messages of wrong content on every topic and service of every node that streams
 lockstep  the closed loop in lockstep, 20 minutes: memory of every node, and two runs that have to be the same
 campaign  one interrupted 20 times at random: results that are not those of one that was not
+fragility a study whose workers, scheduler and command are killed 20 times: files that are not those of one undisturbed
 joins   100 nodes that join a running rig and leave: how often it found no command in time
 viewer  10 minutes with a viewer of all samples at 500 Hz, and 10 without, in turns: samples lost, 99.9 % of the loop
 
@@ -27,6 +28,7 @@ from typing import Any
 from campaign_endurance import campaign_endurance
 from controller_speed import lqg3
 from ends import failures, measure
+from fragility_endurance import fragility_endurance
 from isolation import isolated
 from joins import joins
 from lockstep_endurance import MEMORY_LIMIT, lockstep_endurance
@@ -135,6 +137,7 @@ def main() -> int:
         lockstep = lockstep_endurance()
         campaign = campaign_endurance()
         viewer = viewer_cost()
+        fragility = fragility_endurance()
     values = {
         "logger": logger,
         "ends": ends,
@@ -143,6 +146,7 @@ def main() -> int:
         "lockstep": lockstep,
         "campaign": campaign,
         "viewer": viewer,
+        "fragility": fragility,
     }
     write_text("results/soak.json", json.dumps(values, indent=1) + "\n")
     bare = f"bare subscription {logger['bare_subscription_rate']:.0f}"
@@ -174,6 +178,11 @@ def main() -> int:
             f"{campaign['different']}",
             "0",
         ),
+        (
+            f"of {fragility['files']} files of a fragility study, {sum(fragility['kills'].values())} kills, different",
+            f"{fragility['differing']}",
+            "0",
+        ),
     )
     print(Table("Nodes in the long run", ("what", "reached", "asked"), endured).text())
     watched = (
@@ -194,6 +203,7 @@ def main() -> int:
         campaign["left"],
         viewer["lost"],
         viewer["p999_ratio"] > RATIO_LIMIT,
+        fragility["differing"],
     )
     if any(missed):
         return 1

@@ -50,7 +50,12 @@ the time."""
 CONFIGURATION = {
     "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
     "distributed.scheduler.allowed-failures": KILLED,
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.admin.system-monitor.gil.enabled": False,
 }
+"""Of this machine's cluster: a hundred looks a second at what a process does would cost more than its messages."""
 
 
 @contextlib.contextmanager
@@ -109,7 +114,7 @@ def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
                 n_workers=workers,
                 threads_per_worker=1,
                 processes=True,
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",
                 memory_limit=None,
                 local_directory=folder,
                 silence_logs=logging.CRITICAL,
