@@ -6,6 +6,7 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from abrace.benchmark.definition import Definition, RigDefinition
 from abrace.campaign import done, file
 from abrace.report import results
 from abrace_core.config_file import Checked
@@ -17,6 +18,7 @@ from abrace_plant.devices.layout import Layout
 from abrace_plant.devices.modbus import ModbusFile
 from abrace_plant.devices.registers import RegisterMap
 from abrace_plant.devices.udp import UdpFile
+from abrace_plant.frames.file import _File as FrameFile
 from abrace_plant.rig.file import _Rig
 
 if TYPE_CHECKING:
@@ -49,6 +51,9 @@ class Described(NamedTuple):
 WRITTEN_BY_PEOPLE = (
     Described("Rig file", {"": _Rig}, "Building, braces, table, sensors: [the rig and its file](rig.md)."),
     Described(
+        "Frame file", {"": FrameFile}, "A building of plane frames: [benchmarks](benchmarks.md#frames-of-your-own)."
+    ),
+    Described(
         "Campaign file",
         {"": file._Campaign, "steps[].": file._Step},
         "The steps of a test day: [campaigns](campaigns.md). `matrix` with `steps` may take the place of a step: these "
@@ -76,6 +81,12 @@ WRITTEN_BY_ABRACE = (
         {"": ControllerFile},
         "What `design` writes and the node `controller` takes, a ROS parameter file: [controllers](lqg.md).",
     ),
+    Described(
+        "Benchmark file, frames",
+        {"": Definition},
+        "Comes with abrace: building, cases and reference controllers of a [benchmark](benchmarks.md).",
+    ),
+    Described("Benchmark file, rig", {"": RigDefinition}, "The same of a rig's [benchmark](benchmarks.md)."),
     Described(
         "steps.json",
         {"": done._File},

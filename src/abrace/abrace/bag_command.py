@@ -45,7 +45,7 @@ def add_bag_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
         action = actions.add_parser(name, help=text, example=f"abrace bag {name} bags/first{further}")
         action.add_argument("bag", type=Path, help="bag directory or MCAP file")
         if name == "csv":
-            action.add_argument("topics", metavar="topic", nargs=1, help="such as response: a name, or the end of one")
+            action.add_argument("topics", metavar="topic", nargs=1, help="name, or the end of one: response")
         elif name == "animate":
             action.add_argument(
                 "--against", type=Path, metavar="BAG", help="another test of it, to be drawn on the left"
@@ -55,7 +55,9 @@ def add_bag_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
             )
         elif name != "info":
             several = "+" if name == "plot" else "*"
-            action.add_argument("topics", metavar="topic", nargs=several, help="such as response: a name, or the end of one")
+            action.add_argument(
+                "topics", metavar="topic", nargs=several, help="such as response: a name, or the end of one"
+            )
         if name == "info":
             action.add_argument("--check", action="store_true", help="read everything, to find damage in any chunk")
         else:
