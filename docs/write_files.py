@@ -61,6 +61,19 @@ WRITTEN_BY_PEOPLE = (
     ),
     Described("Weights file", {"": Weights}, "What an LQG design weighs and measures: [controllers](lqg.md#design)."),
     Described(
+        "Frame file", {"": FrameFile}, "A building of plane frames: [benchmarks](benchmarks.md#frames-of-your-own)."
+    ),
+    Described(
+        "Benchmark file of a frame",
+        {"": Definition},
+        "Devices, sensors, earthquakes on a frame file's building: [benchmarks](benchmarks.md#benchmarks-of-your-own).",
+    ),
+    Described(
+        "Benchmark file of a rig",
+        {"": RigDefinition},
+        "Earthquakes and reference controllers on a rig: [benchmarks](benchmarks.md#benchmarks-of-your-own).",
+    ),
+    Described(
         "Device file, kind udp", {"": UdpFile}, "A target that sends and takes UDP packets: [real hardware](bridge.md)."
     ),
     Described("Device file, kind modbus", {"": ModbusFile}, "A Modbus-TCP device: [real hardware](bridge.md)."),

@@ -8,6 +8,7 @@ import pytest
 import write_nodes
 from documents import PAGES, blocks
 
+from abrace.benchmark.definition import load_definition
 from abrace.campaign.file import load_campaign
 from abrace_core.config_file import read_config
 from abrace_core.errors import AbraceError
@@ -80,6 +81,8 @@ def mistake(text: str, folder) -> str:
         match content:
             case {"steps": _}:
                 load_campaign(file)
+            case {"cases": _}:
+                load_definition(str(file))
             case {"building": _, "braces": _}:
                 load_rig(file)
             case {"kind": "udp"}:
