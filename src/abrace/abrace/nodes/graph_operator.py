@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.client import Client
@@ -19,7 +19,7 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from abrace.report.node_table import NodeReport
+from abrace.report.node_table import NodeReports
 from abrace_core.errors import AbraceError
 from abrace_core.node import DIAGNOSTICS
 from abrace_core.suggestion import did_you_mean
@@ -86,19 +86,12 @@ class GraphOperator:
         self.node = node
         self._receive = receive
         self._clients: dict[str, Client] = {}
-        self.reports: dict[str, NodeReport] = {}
-        """What each node has reported last, by its full name."""
+        self.reports = NodeReports()
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
-        now = time.monotonic()
         for status in array.status:
-            name, _, what = status.name.partition(":")
-            if what.strip() == "state":
-                values = {pair.key: pair.value for pair in status.values}
-                before = self.reports.get(f"/{name}")
-                failed = status.level != DiagnosticStatus.OK
-                self.reports[f"/{name}"] = NodeReport.after(before, status.message, failed, values, now)
+            self.reports.note(status, time.monotonic())
 
     def wait(self, seconds: float, until: Callable[[], Any] = bool) -> bool:
         """Receive for so many seconds, or until what is asked for holds; returns whether it does."""

@@ -19,6 +19,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from abrace.nodes.graph_operator import STOP_TOPIC, StopButton
 from abrace_core.errors import AbraceError
 from abrace_core.node import TRANSIENT_LOCAL_QOS
 
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
     from abrace_bringup.viewing.server import ViewServer
     from abrace_core.node import AbraceNode
 
-STOP_TOPIC, STOP = "/emergency_stop", "/view/stop"
+STOP = "/view/stop"
+"""The service that presses the stop button."""
 PRESSED = 2.5
 """Seconds for which a stop is pressed: meanwhile every rig has heard it, and who pressed."""
 PATIENCE = 3.0
@@ -93,17 +95,16 @@ class Operations:
         """Press the stop button of the whole laboratory, and let it go once every rig has heard."""
 
         def press() -> None:
-            button = self._node.create_publisher(Bool, STOP_TOPIC, TRANSIENT_LOCAL_QOS)
-            button.publish(Bool(data=True))
-            begin = time.monotonic()
+            publisher = self._node.create_publisher(Bool, STOP_TOPIC, TRANSIENT_LOCAL_QOS)
+            button = StopButton(self._node, publisher, lambda: True)
+            button.publish()
 
-            def repeat() -> None:
-                button.publish(Bool(data=True))
-                if time.monotonic() > begin + PRESSED:
-                    self._node.destroy_timer(timer)
-                    self._node.destroy_publisher(button)
+            def let_go() -> None:
+                button.rest()
+                self._node.destroy_timer(timer)
+                self._node.destroy_publisher(publisher)
 
-            timer = self._node.create_timer(0.1, repeat, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            timer = self._node.create_timer(PRESSED, let_go, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
         self._in_node(press)
         return Trigger.Response(success=True, message="pressed: /diagnostics tells which rigs stop")
