@@ -95,12 +95,6 @@ WRITTEN_BY_ABRACE = (
         "What `design` writes and the node `controller` takes, a ROS parameter file: [controllers](lqg.md).",
     ),
     Described(
-        "Benchmark file, frames",
-        {"": Definition},
-        "Comes with abrace: building, cases and reference controllers of a [benchmark](benchmarks.md).",
-    ),
-    Described("Benchmark file, rig", {"": RigDefinition}, "The same of a rig's [benchmark](benchmarks.md)."),
-    Described(
         "steps.json",
         {"": done._File},
         "In a campaign's results: which steps are done, with checksums of what they took and made.",
