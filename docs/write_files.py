@@ -51,15 +51,11 @@ class Described(NamedTuple):
 WRITTEN_BY_PEOPLE = (
     Described("Rig file", {"": _Rig}, "Building, braces, table, sensors: [the rig and its file](rig.md)."),
     Described(
-        "Frame file", {"": FrameFile}, "A building of plane frames: [benchmarks](benchmarks.md#frames-of-your-own)."
-    ),
-    Described(
         "Campaign file",
         {"": file._Campaign, "steps[].": file._Step},
         "The steps of a test day: [campaigns](campaigns.md). `matrix` with `steps` may take the place of a step: these "
         "are made for every combination of its values.",
     ),
-    Described("Frame file", {"": FrameFile}, "A building as a plane frame of members: [frames](rig.md#frames)."),
     Described("Weights file", {"": Weights}, "What an LQG design weighs and measures: [controllers](lqg.md#design)."),
     Described(
         "Frame file", {"": FrameFile}, "A building of plane frames: [benchmarks](benchmarks.md#frames-of-your-own)."
