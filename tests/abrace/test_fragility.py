@@ -9,14 +9,27 @@ import pytest
 
 import abrace
 from abrace.cli import main
+from abrace.interactive.exploration import Explored
 from abrace_core.controller_file import Controller, save_controller
+from abrace_core.installed import find_file
 from abrace_core.linear_model import LinearModel, save_model
+from abrace_lqg.exploration.ensemble import noise_motion
+from abrace_lqg.exploration.study import Outcome, Study, evaluate
+from abrace_lqg.weights import load_weights
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 PERIOD = 0.002
 RIG = "ncree_three_storey"
+
+
+def evaluated(name: str) -> Outcome:
+    """LQG3 tried on a rig."""
+    rig = abrace.load_rig(name)
+    motions = [noise_motion(1, 4.0, (0.1, 10.0), PERIOD).scaled(1.0)]
+    study = Study.of(rig.model, rig.model, motions, capacity=rig.capacity, sample_period=PERIOD)
+    return evaluate(study, 0, load_weights(find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights")))
 
 
 @pytest.fixture
@@ -61,6 +74,19 @@ def test_from_a_rig_to_curves_and_again_without_computing(damper, tmp_path, caps
         assert row.peak_x3 == pytest.approx(np.abs(run.channels(["x3"])).max(), rel=1e-9)
         assert row.peak_U == pytest.approx(np.abs(run.command).max(), rel=1e-9)
     assert len(mine[mine.interlock == "none"]) > 1
+
+
+def test_sets_of_weights_are_explored_on_a_rig(tmp_path):
+    given = {"sets": 3, "noise": [1], "noise_duration": 4.0, "rig": RIG, "folder": tmp_path / "found"}
+    with pytest.raises(abrace.AbraceError, match="does not answer"):
+        abrace.explore(RIG, "lqg3", scheduler="tcp://127.0.0.1:1", **given)
+    with pytest.raises(abrace.AbraceError, match="no records"):
+        abrace.explore(RIG, "lqg3", **given | {"noise": []})
+    outcome = evaluated(RIG)
+    found = Explored((outcome,))
+    assert repr(found) == "<Explored: 1 sets of weights, 0 without a controller>"
+    assert found.to_pandas().loc[0, "command [N]"] == outcome.command.rms
+    assert found.plot().axes
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,8 @@ def test_sets_are_tried_drawn_and_picked(model, tmp_path):
     assert (tmp_path / "found/trade_off.png").stat().st_size > 10_000
     assert len((tmp_path / "found/exploration.csv").read_text().splitlines()) == 9
 
-    ended = run_node(output=tmp_path / "found", pick=0)
+    short = ["abrace", "explore", f"output:={tmp_path / 'found'}", "pick:=0"]
+    ended = subprocess.run(short, capture_output=True, text=True, timeout=120, check=False)
     assert ended.returncode == 0, ended.stderr
     assert load_controller(tmp_path / "found/set_0.yaml").law.inputs == ("a1", "a2", "a3")
 

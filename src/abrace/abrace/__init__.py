@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from abrace.interactive.controllers import design
     from abrace.interactive.data import identify_ambient, identify_data
+    from abrace.interactive.exploration import explore
     from abrace.interactive.fragility import fragility
     from abrace.interactive.identification import identify
     from abrace.interactive.laboratory import characterize, load_record, load_rig, read_run
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "abrace.interactive.controllers": ("design",),
     "abrace.interactive.data": ("identify_ambient", "identify_data"),
+    "abrace.interactive.exploration": ("explore",),
     "abrace.interactive.fragility": ("fragility",),
     "abrace.interactive.identification": ("identify",),
     "abrace.interactive.laboratory": ("characterize", "load_record", "load_rig", "read_run"),
@@ -62,6 +64,7 @@ __all__ = [
     "characterize",
     "design",
     "discretize",
+    "explore",
     "fragility",
     "identify",
     "identify_ambient",

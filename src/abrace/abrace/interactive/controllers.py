@@ -68,7 +68,7 @@ def design(
             covariances["full"] = model.found.covariance
     models |= {name: model_of(each) for name, each in (check or {}).items()}
     found, name = weights_of(weights)
-    period, limit = _of_rig(designed_with, rig, sample_period, force_limit)
+    period, limit = of_rig(designed_with, rig, sample_period, force_limit)
     return proven_design(
         models,
         weights=found,
@@ -88,8 +88,8 @@ def _distrust(identified: Identified) -> list[str]:
     return [f"the identification says {verdict.words} ({causes})"] if verdict is Verdict.DONT else []
 
 
-def _of_rig(model: LinearModel, rig: AnyRig | None, period: float | None, force: Any) -> tuple[float, list[float]]:
-    """Sample period [s] and force limits (commands,) [N], as given, of the rig that was given, or of the model's."""
+def of_rig(model: LinearModel, rig: AnyRig | None, period: float | None, force: Any) -> tuple[float, list[float]]:
+    """Sample `period` [s] and `force` limits (commands,) [N], as given, of the `rig`, or of that of the `model`."""
     groups = len(model.inputs) - 1
     period = period or (None if rig else model.provenance.get("sample_period"))
     if period is None or force is None:

@@ -104,11 +104,7 @@ def fragility(
     """
     tried = tuple(controller_of(each) for each in controllers)
     period = sample_period or (tried[0].law.sample_period if tried else 0.002)
-    grounds = [_recorded(each, period) for each in records]
-    grounds += [
-        (f"noise {each}", banded_noise(round(noise_duration / period), 1 / period, NOISE_BAND, 1.0, each))
-        for each in noise
-    ]
+    grounds = ground_motions(records, noise, noise_duration, period)
     ensemble = _ensemble(model, models, seed)
     study = FragilityStudy(
         ensemble,
@@ -123,6 +119,23 @@ def fragility(
     return run_study(
         study, limits, folder, scheduler=scheduler, workers=workers, progress=progress or (lambda _done, _all: None)
     )
+
+
+def ground_motions(
+    records: Sequence[Record | Path | str], noise: Sequence[int], noise_duration: float, period: float
+) -> list[tuple[str, NDArray[np.float64]]]:
+    """Names of ground motions, and their accelerations (samples,) [m/s^2].
+
+    Parameters
+    ----------
+    records, noise, noise_duration
+        As for `fragility`.
+    period
+        Of the samples [s].
+    """
+    count = round(noise_duration / period)
+    made = [(f"noise {seed}", banded_noise(count, 1 / period, NOISE_BAND, 1.0, seed)) for seed in noise]
+    return [_recorded(each, period) for each in records] + made
 
 
 def _recorded(given: Record | Path | str, period: float) -> tuple[str, NDArray[np.float64]]:

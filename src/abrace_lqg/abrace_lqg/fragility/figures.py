@@ -163,4 +163,4 @@ def _intact(subjects: Sequence[Subject]) -> list[Subject]:
 
 
 def _limit(name: str, limit: float) -> str:
-    return f"{name} above {limit:g} {unit(name)}"
+    return f"{name} above {limit:g} {unit(name)}".replace("^2", "²")
