@@ -12,6 +12,7 @@ import itertools
 import logging
 import signal
 import socket
+import sys
 import tempfile
 import warnings
 from multiprocessing import resource_tracker
@@ -107,6 +108,7 @@ def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="abrace_explore_"))
         stack.enter_context(dask.config.set(CONFIGURATION))
+        stack.enter_context(_without_main())
         resource_tracker.ensure_running()  # before signals are blocked, as its start unblocks them
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:  # threads started now, and the processes that these start, keep the signal blocked
@@ -122,6 +124,21 @@ def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         yield stack.enter_context(running)
+
+
+@contextlib.contextmanager
+def _without_main() -> Iterator[None]:
+    """Keep processes that are started in this block from importing the script that runs, as multiprocessing has it.
+
+    They need nothing of it, and one that has no `if __name__ == "__main__":` would start all anew in each of them.
+    """
+    main = sys.modules["__main__"]
+    hidden = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}
+    main.__spec__ = None
+    try:
+        yield
+    finally:
+        vars(main).update(hidden)
 
 
 def compute(
