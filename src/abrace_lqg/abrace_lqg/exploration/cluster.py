@@ -16,7 +16,7 @@ import sys
 import tempfile
 import warnings
 from multiprocessing import resource_tracker
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from abrace_core.errors import AbraceError, RunFailed
 
@@ -133,7 +133,7 @@ def _without_main() -> Iterator[None]:
     They need nothing of it, and one that has no `if __name__ == "__main__":` would start all anew in each of them.
     """
     main = sys.modules["__main__"]
-    hidden = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}
+    hidden: dict[str, Any] = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}
     main.__spec__ = None
     try:
         yield
