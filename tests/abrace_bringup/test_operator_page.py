@@ -15,7 +15,7 @@ import pytest
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
-from abrace.report.node_table import NodeReport
+from abrace.report.node_table import NodeReport, NodeReports
 from abrace_bringup.operator_page import actions, view
 from abrace_bringup.operator_page.access import make_access
 from abrace_bringup.operator_page.server import AHEAD, FILES, LONGEST_MESSAGE, PageServer
@@ -97,17 +97,22 @@ def test_the_rigs_state_is_shown_in_words_and_silence_and_another_rig_are_told()
 
 
 def test_reports_become_interlocks_latencies_losses_and_nodes():
-    reports = {
-        "/rig/plant": report(interlock_drift="64 % of its limit", interlock_stuck="91 % of its limit"),
-        "/rig/controller": NodeReport.after(
-            None, "fault: x", True, {f"answer_{one}_us": "9" for one in view.LATENCIES} | {"late": "2"}, 10.0
-        ),
-        "/rig/logger": NodeReport.after(
-            None, "recording", False, {"messages of response": "500", "lost of response": "3", "file": "bags/a"}, 10.0
-        ),
-        "/rig/gone": report(heard=-200.0),
-        "/rig/silent": report("not active", heard=5.0),
-    }
+    reports = NodeReports(
+        {
+            "/rig/plant": report(interlock_drift="64 % of its limit", interlock_stuck="91 % of its limit"),
+            "/rig/controller": NodeReport.after(
+                None, "fault: x", True, {f"answer_{one}_us": "9" for one in view.LATENCIES} | {"late": "2"}, 10.0
+            ),
+            "/rig/logger": NodeReport.after(
+                None,
+                "recording",
+                False,
+                {"messages of response": "500", "lost of response": "3", "file": "bags/a"},
+                10.0,
+            ),
+            "/rig/stale": report("not active", heard=5.0),
+        }
+    )
     offered = actions.offers(
         [f"/rig/{name}" for name in ("plant/change_state", "controller/change_state", "controller/clear_fault")]
         + [f"/rig/logger/{name}" for name in ("start", "stop", "split", "describe_parameters")]
@@ -117,9 +122,8 @@ def test_reports_become_interlocks_latencies_losses_and_nodes():
     (logger,) = view.recording_view(reports, actions.recorders(offered, "/rig"), 10.0)
     assert (logger["messages"], logger["lost"], logger["bad"], logger["file"]) == (500, 3, True, "bags/a")
     nodes = {one["name"]: one for one in view.node_view(reports, offered, 10.0)}
-    assert "/rig/gone" not in nodes
     assert nodes["/rig/controller"]["actions"] == ["disarm", "clear"]
-    assert nodes["/rig/silent"]["state"] == "silent for 5 s; was: not active"
+    assert nodes["/rig/stale"]["state"] == "stale for 5 s; was: not active"
     events = view.Events()
     for number in range(200):
         events.add(float(number), f"event {number}")

@@ -69,6 +69,7 @@ MODULES = [
 PLANT = "abrace_plant/plant --ros-args"
 LOOK = "abrace_plant/characterize --ros-args -p output:=o -p"
 VIEW = "abrace_bringup/viewer --ros-args -p"
+SERVE = "abrace_bringup/operator --ros-args -p"
 EMULATE = "abrace_plant/emulator --device device.yaml --rig"
 SHAKE = "abrace_plant/record --ros-args -p output:=o -p"
 MISTAKES = [
@@ -170,6 +171,10 @@ MISTAKES = [
     (f"{VIEW} bag:=none", "none: no such bag, expected a bag directory or an MCAP file"),
     (f"{VIEW} bag:={{bag}} -p response:=x", "parameter response: /x, bag has /response"),
     (f"{VIEW} response:=a-b", "parameter response: a-b, .*"),
+    (f"{SERVE} address:=0.0.0.0", "parameter address: 0.0.0.0, beyond this machine, expected token_file, .*"),
+    (f"{SERVE} address:=lab", "parameter address: lab, expected an IP address of this machine"),
+    (f"{SERVE} certificate:=notes.txt", "parameter key: not given, expected a file beside the certificate"),
+    (f"{SERVE} page_heartbeat:=0.1", "parameter page_heartbeat: 0.1, expected 0, or at least 0.5"),
     (f"{VIEW} port:=70000", "parameter port: 70000, expected a whole number from 0 to 65535"),
     (f"{VIEW} host:=192.0.2.1", "server: cannot listen on 192.0.2.1, port 8765: .*"),
     (

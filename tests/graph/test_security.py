@@ -71,6 +71,7 @@ def test_the_policy_allows_what_the_nodes_do(graph, tmp_path):
     save_controller(SMALL, tmp_path / "small.yaml")
     graph.start("logger", output=str(tmp_path / "bag"))
     graph.start("viewer", port=0, page_port=0)
+    graph.start("operator", port=0)
     graph.start("plant", lockstep=True)
     graph.start("ground_motion")
     graph.start("excitation")
@@ -82,6 +83,7 @@ def test_the_policy_allows_what_the_nodes_do(graph, tmp_path):
     expect_allowed(graph, "controller", "publish", "brace_command")
     expect_allowed(graph, "logger", "reply", "logger/stop")
     expect_allowed(graph, "_logger_input", "subscribe", "response", enclave="logger")
+    expect_allowed(graph, "operator", "request", "controller/clear_fault")
     expect_allowed(graph, "viewer", "reply", "viewer/list_parameters")
     for name in ("plant", "ground_motion", "excitation", "controller", "logger"):
         expect_open_to_operators(graph, name)

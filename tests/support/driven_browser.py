@@ -75,8 +75,11 @@ class DrivenBrowser:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._socket.close()
+        self._loop.run_until_complete(self._close())
         self._end()
+
+    async def _close(self) -> None:
+        self._socket.close()
 
     def _end(self) -> None:
         self.process.terminate()

@@ -87,6 +87,7 @@ class GraphOperator:
         self._receive = receive
         self._clients: dict[str, Client] = {}
         self.reports = NodeReports()
+        """What each node has reported last, by its full name."""
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:

@@ -18,6 +18,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from abrace.nodes.graph_operator import STOP_TOPIC, GraphOperator, StopButton
+from abrace.report.node_table import NodeReports
 from abrace_bringup.operator_page import actions, view
 from abrace_bringup.operator_page.access import make_access
 from abrace_bringup.operator_page.server import PageServer
@@ -152,7 +153,7 @@ class OperatorPage(AbraceNode):
 
     def frame(self, bins: int, events: int) -> dict[str, Any]:
         """What a page is told that has the `bins` and `events` up to these numbers."""
-        now, reports = time.monotonic(), dict(self.operator.reports)
+        now, reports = time.monotonic(), NodeReports(self.operator.reports)
         rigs = [name for name in self.rigs if name.rpartition("/")[0] == self.get_namespace().rstrip("/")]
         recorders = actions.recorders(self.offers, self.get_namespace())
         done = self.events.since(events)
@@ -196,7 +197,7 @@ class OperatorPage(AbraceNode):
     def act(self, action: str, node: str) -> None:
         """Do it, and note what came of it."""
         try:
-            failed = [name for name, one in self.operator.reports.items() if one.failed]
+            failed = [name for name, one in NodeReports(self.operator.reports).items() if one.failed]
             for name in actions.targets(action, node, self.offers, self.get_namespace(), self.rigs, failed):
                 self.note(f"{name}: {self.do(action, name)}")
         except AbraceError as error:

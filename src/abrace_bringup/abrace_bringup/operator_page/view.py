@@ -7,7 +7,6 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from abrace.report.node_table import STALE
 from abrace_core import signals
 from abrace_core.safety.rig_safety import ACTING, State
 from abrace_core.wire import LATE, RATE_LIMITED, SATURATED, STOP_PRESSED, TABLE_LIMITED
@@ -15,14 +14,14 @@ from abrace_core.wire import LATE, RATE_LIMITED, SATURATED, STOP_PRESSED, TABLE_
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from abrace.report.node_table import NodeReport
+    from abrace.report.node_table import NodeReport, NodeReports
     from abrace_core.wire import Head
     from abrace_plant.rig.model import Rig
 
 NO_SAMPLES = 0.5
 """Seconds without a sample after which the rig is shown as silent."""
 GONE = 120.0
-"""Seconds after which a node that has fallen silent is not shown any more."""
+"""Seconds without a report after which a node is not shown any more."""
 EVENTS = 50
 """Of what has been done, that are kept."""
 LATENCIES = ("median", "99_percent", "worst")
@@ -146,12 +145,11 @@ def recording_view(reports: Mapping[str, NodeReport], recorders: Sequence[str], 
             kind: sum(int(value) for key, value in report.values.items() if key.startswith(kind) and value.isdecimal())
             for kind in ("messages of ", "lost of ")
         }
-        silent = now - report.heard > STALE
         found.append(
             {
                 "node": name,
-                "state": "silent" if silent else report.message,
-                "bad": silent or report.failed or counts["lost of "] > 0,
+                "state": report.words(now),
+                "bad": report.stale(now) or report.failed or counts["lost of "] > 0,
                 "file": report.values.get("file", ""),
                 "messages": counts["messages of "],
                 "lost": counts["lost of "],
@@ -161,30 +159,16 @@ def recording_view(reports: Mapping[str, NodeReport], recorders: Sequence[str], 
     return found
 
 
-def node_view(
-    reports: Mapping[str, NodeReport], offers: Mapping[str, frozenset[str]], now: float
-) -> list[dict[str, Any]]:
+def node_view(reports: NodeReports, offers: Mapping[str, frozenset[str]], now: float) -> list[dict[str, Any]]:
     """Each node's state by its `reports` at `now` [s], and what can be done to it by the services that it `offers`."""
     found = []
-    for name, report in sorted(reports.items()):
-        silent = now - report.heard
-        if silent > GONE:
-            continue
-        offered = offers.get(name, frozenset())
-        stands = report.message in ("not active", "not configured")
+    for row in reports.rows(now):
+        name = str(row["name"])
+        report, offered = reports[name], offers.get(name, frozenset())
         actions = []
-        if "change_state" in offered and silent <= STALE:
-            actions.append("arm" if stands else "disarm")
+        if "change_state" in offered and not report.stale(now):
+            actions.append("arm" if report.message in ("not active", "not configured") else "disarm")
         if report.failed and "clear_fault" in offered:
             actions.append("clear")
-        found.append(
-            {
-                "name": name,
-                "state": f"silent for {silent:.0f} s; was: {report.message}" if silent > STALE else report.message,
-                "bad": report.failed or silent > STALE,
-                "rate": None if report.rate is None else round(report.rate),
-                "lost": report.lost,
-                "actions": actions,
-            }
-        )
+        found.append({**row, "actions": actions})
     return found

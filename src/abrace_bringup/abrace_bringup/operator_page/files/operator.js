@@ -172,7 +172,7 @@ function show(frame) {
   trace(frame.traces);
   rows("recording", frame.recording.map((one) => ({ bad: one.bad, cells: [one.node, one.state, one.messages, one.lost, one.waits ? `waits for ${one.waits}` : one.file] })));
   rows("latency", frame.latency.map((one) => ({ cells: [one.node, one.what, ...one.times, one.late] })));
-  rows("nodes", frame.nodes.map((one) => ({ bad: one.bad, cells: [one.name, one.state, one.rate ?? "-", one.lost ?? "-"], node: one.name, actions: one.actions })));
+  rows("nodes", frame.nodes.map((one) => ({ bad: one.level !== "ok", cells: [one.name, one.state, one.rate === null ? "-" : Math.round(one.rate), one.lost ?? "-"], node: one.name, actions: one.actions })));
   bars("interlocks", frame.interlocks.map((one) => ({ name: one.name, share: one.share / 100, words: `${one.share} %` })));
   frame.events.forEach(happened);
   watch();
