@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from running_graph import Graph
 
 RUNS = 100
+TRIES = 3
+"""Of each click, where the rig has a fault before it: that of a machine that stood still."""
 WITHIN = 50.0
 """Milliseconds."""
 FORCE = 2e3
@@ -67,16 +69,19 @@ def opened() -> Iterator[tuple[Rig, Tab, DrivenBrowser]]:
         rig = Rig(graph, "excitation")
         graph.start("operator", port=0)
         tab = browser.open(page_address(graph))
-        tab.until_shown("#state", "running")
+        tab.until_shown("#state", "ncree_three_storey")
         yield rig, tab, browser
 
 
 def click_to_stop(rig: Rig, tab: Tab) -> float | None:
-    """Milliseconds from a click on STOP to zero command, less the ramp; None: a fault came first."""
-    rig.begin()
+    """Milliseconds from a click on STOP to zero command, less the ramp; None: the machine was held up before."""
     x, y = tab.middle("#stop")
     tab.mouse("mouseMoved", x, y)
-    rig.until_driven(FORCE)
+    try:
+        rig.begin()
+        rig.until_driven(FORCE)
+    except AssertionError:
+        return None
     clicked = time.time_ns()
     tab.mouse("mousePressed", x, y, wait=False)
     stopped = Response.PROTECTIVE_STOP
@@ -100,18 +105,20 @@ def stops(runs: int = RUNS) -> dict[str, Any]:
     """So many clicks; call it on a domain of one's own."""
     taken: list[float] = []
     with opened() as (rig, tab, _):
-        while len(taken) < runs:
+        for _ in range(TRIES * runs):
             found = click_to_stop(rig, tab)
             if found is None:
                 print("repeated: the machine was held up, and that is a fault", file=sys.stderr, flush=True)
-            else:
-                taken.append(found)
-                print(f"click {len(taken)} of {runs}: {found:.1f} ms", file=sys.stderr, flush=True)
+                continue
+            taken.append(found)
+            print(f"click {len(taken)} of {runs}: {found:.1f} ms", file=sys.stderr, flush=True)
+            if len(taken) == runs:
+                break
     return {
         "passed": sum(one <= WITHIN for one in taken),
         "runs": runs,
         "click_to_stop_ms_worst": round(max(taken), 1),
-        "click_to_stop_ms_median": round(sorted(taken)[runs // 2], 1),
+        "click_to_stop_ms_median": round(sorted(taken)[len(taken) // 2], 1),
     }
 
 
