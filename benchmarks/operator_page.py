@@ -49,7 +49,6 @@ FORCE = 2e3
 """Newtons with which the braces push when STOP is clicked."""
 WARM_UP = 60.0
 """Seconds after which memory is measured first: all traces are full."""
-MOST_GROWTH = 0.05
 
 
 def page_address(graph: Graph, name: str = "operator") -> str:

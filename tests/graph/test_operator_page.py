@@ -91,7 +91,7 @@ def test_a_person_arms_records_stops_and_clears_in_a_browser(graph):
         graph.until(lambda: responses[-1].state == Response.PROTECTIVE_STOP, "a lost page to be a stop")
         tab = browser.open(address)
         tab.until_shown("#cause", "a page was closed")
-        graph.stop("operator")
+        assert graph.stop("operator") == 0
         tab.until_shown("#alarm", "NO CONNECTION")
         tab.click("#stop")
         tab.until_shown("#alarm", "STOP was pressed: it is sent as soon as the connection is back")
