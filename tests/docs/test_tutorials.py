@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tutorials and how-to pages whose Python runs in a second; all of them, whole, by `make verify PARTS=docs`."""
 
 import subprocess
@@ -18,7 +19,7 @@ def run(folder, *words: str) -> str:
 def test_your_own_record_is_played_as_the_page_says(tmp_path):
     assert write_files("own_record", tmp_path) == ["make_record.py", "my_records.yaml", "treatment.yaml"]
     run(tmp_path, "make_record.py")
-    moved = "assert 0.97 < run.to_pandas()['w'].abs().max() < 0.99, 'the peak that was asked for'"
+    moved = "assert 0.39 < run.to_pandas()['w'].abs().max() < 0.41, 'the peak that was asked for'"
     refused = (
         "try: abrace.simulate('ncree_three_storey', 'quake.csv')\n"
         "except abrace.AbraceError as error: assert 'is more than the table has' in str(error)\n"
