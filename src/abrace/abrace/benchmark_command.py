@@ -59,6 +59,9 @@ def add_benchmark_parser(
     benchmark.add_argument(
         "--noise", type=int, metavar="SEED", help="run a frame's sensors with the benchmark's noise, of this seed"
     )
+    benchmark.add_argument(
+        "--trade-off", action="store_true", help="also draw what more force would give abrace's own law, on a frame"
+    )
     benchmark.add_argument("--export", type=Path, metavar="FOLDER", help="only write model, motions and laws there")
 
 
@@ -81,7 +84,8 @@ def benchmark_command(given: argparse.Namespace) -> None:
         evaluations += _references(benchmark)
     if not evaluations:
         raise AbraceError(f"benchmark {given.name}: no reference controller, expected --controller or --bag")
-    print(_write(benchmark, evaluations, folder))
+    further = _trade_off(benchmark, evaluations, folder) if given.trade_off else []
+    print(_write(benchmark, evaluations, folder, further))
     print(f"wrote {folder / 'report.html'}")
 
 
@@ -160,7 +164,24 @@ def _references(benchmark: AnyBenchmark) -> list[Evaluation]:
     ]
 
 
-def _write(benchmark: AnyBenchmark, evaluations: list[Evaluation], folder: Path) -> str:
+def _trade_off(benchmark: AnyBenchmark, evaluations: list[Evaluation], folder: Path) -> list[Path]:
+    """Draw what more force would give; returns the figure's path."""
+    from abrace.benchmark.frame_benchmark import FrameBenchmark
+    from abrace.benchmark.laws import SAMPLE
+    from abrace.benchmark.trade_off import trade_off, trade_off_figure
+    from abrace_core.drawing import save_figure
+
+    if not isinstance(benchmark, FrameBenchmark):
+        raise AbraceError(
+            "--trade-off: given with a rig, expected a benchmark of a frame (for a rig: the node explore)"
+        )
+    (sample,) = (one for one in evaluations if one.name == SAMPLE)
+    path = folder / "trade_off.png"
+    save_figure(trade_off_figure(benchmark, trade_off(benchmark), sample), path)
+    return [path]
+
+
+def _write(benchmark: AnyBenchmark, evaluations: list[Evaluation], folder: Path, further: Sequence[Path]) -> str:
     """Write criteria.json, figures, report.html and report.md; returns the table as text."""
     from abrace.benchmark.comparison import Profile, case_tables, worst_table
     from abrace.benchmark.figures import criteria_figure, profile_figure
@@ -186,6 +207,7 @@ def _write(benchmark: AnyBenchmark, evaluations: list[Evaluation], folder: Path)
     sections = [
         Section("Criteria", (table, pictures[0])),
         Section("Over the height", tuple(pictures[1:])),
+        Section("Response and force", tuple(Picture(path) for path in further)),
         Section("Each case", tuple(tables)),
     ]
     sections = [section for section in sections if section.parts]

@@ -54,9 +54,26 @@ def sample_of(benchmark: FrameBenchmark) -> Controller:
     )
 
 
-def designed(benchmark: AnyBenchmark, weights: str) -> Controller:
-    """abrace's LQG with some `weights`, by name or file, on the benchmark's design model."""
+def designed(benchmark: AnyBenchmark, weights: str, command_factor: float = 1.0) -> Controller:
+    """abrace's LQG on the benchmark's design model.
+
+    Parameters
+    ----------
+    benchmark
+        Its force limits are the controller's.
+    weights
+        By name or file.
+    command_factor
+        On the weights of all commands.
+
+    Raises
+    ------
+    AbraceError
+        If the weights are wrong, or give no controller.
+    """
     given = load_weights(find_file(weights, "abrace_lqg", "config", ".yaml", "weights"))
+    kinds = given.weights.model_copy(update={"command": command_factor * given.weights.command})
+    given = given.model_copy(update={"weights": kinds})
     period = benchmark.plant.sample_period
     found = design(benchmark.design_model, given, period)
     capacity = (

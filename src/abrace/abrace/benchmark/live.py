@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from abrace.benchmark.definition import record_path
 from abrace.report.recorded import recorded_tests
 from abrace_bags import read_run
 from abrace_core.errors import AbraceError
@@ -48,16 +49,16 @@ def run_live(benchmark: RigBenchmark, node: str, folder: Path) -> dict[str, tupl
 
     definition = benchmark.definition
     name = f"benchmark_{definition.name}"
-    run: Any = str(Path(node).resolve()) if node.endswith(".py") else node.split("/")
+    run: Any = _resolved(node) if node.endswith(".py") else node.split("/")
     steps: list[dict[str, Any]] = []
     for i, case in enumerate(definition.cases, 1):
-        motion = {"record": case.record, "peak_acceleration": case.peak_acceleration}
+        motion = {"record": _resolved(record_path(case.record)), "peak_acceleration": case.peak_acceleration}
         test = {"duration": definition.duration, "ground_motion": motion}
         steps += [
             {"name": f"{FREE}{i}", "test": test},
             {"name": f"{CONTROLLED}{i}", "test": {**test, "controller": {"run": run}}},
         ]
-    content = {"name": name, "rig": definition.rig, "lockstep": True, "steps": steps}
+    content = {"name": name, "rig": _resolved(definition.rig), "lockstep": True, "steps": steps}
     path = folder / f"{name}.yaml"
     write_text(path, yaml.safe_dump(content, sort_keys=False))
     outcome = run_campaign(path)
@@ -68,3 +69,8 @@ def run_live(benchmark: RigBenchmark, node: str, folder: Path) -> dict[str, tupl
         case.name: benchmark.of_tests(read_run(bags[f"{CONTROLLED}{i}"]), read_run(bags[f"{FREE}{i}"]))
         for i, case in enumerate(definition.cases, 1)
     }
+
+
+def _resolved(name: str) -> str:
+    """A file's whole path, as the campaign file stands in another folder; a name as it is."""
+    return str(Path(name).resolve()) if Path(name).suffix else name
