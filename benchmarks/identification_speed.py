@@ -235,13 +235,13 @@ def cost(laboratory: Laboratory, start: NDArray[np.complex128]) -> dict[str, lis
     """Seconds of the likelihood's fit of the command test for records of several lengths, and for several channels."""
     from abrace_sysid.fitting.maximum_likelihood import fit_poles
     from abrace_sysid.fitting.observation import Observation
-    from abrace_sysid.fitting.options import IdentificationOptions
     from abrace_sysid.recordings import prepare
+    from abrace_sysid.spectra.bands import excited_band
     from abrace_sysid.spectra.fourier import spectra_of
 
     def row(run: Run, channels: int) -> dict[str, Any]:
         (name,) = run.command_names
-        band = IdentificationOptions().command_band
+        band = excited_band(run, name)
         spectra = spectra_of(prepare(run, [name], band).run, [name], band).select(CHANNELS[:channels])
         observation = Observation.of_spectra(spectra, run.source)
         steps = fit_poles([observation], start).iterations

@@ -67,6 +67,8 @@ FREQUENCY_TOLERANCE, DAMPING_TOLERANCE = 1e-6, 1e-4
 """Relative; the paper prints four or five digits of a frequency and three of a damping."""
 CHANGE = 0.1
 """Relative change of one of a rig's parameters that counts as much as the tolerances: as good as none."""
+TABLE_BAND, COMMAND_BAND = (0.3, 10.0), (0.3, 30.0)
+"""Hz, of the paper's tests."""
 SPACING = 0.01
 """Hz between the lines of an exact transfer function."""
 DETUNING = np.linspace(-0.04, 0.04, 17)
@@ -124,7 +126,6 @@ def superposition(table: Rig, command: Rig) -> LinearModel:
     Numerators are fitted to the exact transfer functions, in the paper's bands, over the rigs' own poles; the servo's
     lag stays a delay. What six or twelve states cannot hold (the servo's slow pole, in A3 the local modes) is left out.
     """
-    options = IdentificationOptions()
     ground, brace = table.model.inputs
     outputs = table.model.outputs
     accelerations = [name for name in outputs if name.startswith("a")]
@@ -141,9 +142,9 @@ def superposition(table: Rig, command: Rig) -> LinearModel:
         return realize(exact, np.column_stack([upper, upper.conj()]).ravel(), lag)
 
     parts = [
-        part(table, ground, options.table_band, outputs, 3),
-        part(command, brace, options.command_band, accelerations, 6),
-        part(command, brace, options.command_band, others, 3),
+        part(table, ground, TABLE_BAND, outputs, 3),
+        part(command, brace, COMMAND_BAND, accelerations, 6),
+        part(command, brace, COMMAND_BAND, others, 3),
     ]
     return superpose(parts, (ground, brace), outputs)
 

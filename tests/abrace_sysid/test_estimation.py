@@ -117,7 +117,7 @@ def test_repeated_tests_and_pieces_of_longer_ones_average(laboratory_of, rig):
 
 def test_the_settings_follow_from_the_record_and_the_damping(laboratory_of, rig):
     for seconds, options, half_width in (
-        (60, None, 13),
+        (60, None, 14),
         (100, None, 20),
         (60, TransferFunctionOptions(bandwidth=0.3), 18),
     ):

@@ -22,10 +22,10 @@ def test_outputs_are_response_times_excitation_plus_transient_and_noise(plain_ru
 
 
 def test_windows_are_narrower_in_shorter_records_and_wider_for_more_inputs():
-    widths = [automatic_half_width(seconds) for seconds in (10, 60, 120, 1200)]
+    widths = [automatic_half_width(seconds, 1, 0.22) for seconds in (10, 60, 120, 1200)]
     assert widths == [6, 13, 20, 20]
-    assert automatic_half_width(10, inputs=2) > automatic_half_width(10)
-    assert automatic_half_width(60, bandwidth=0.4) > automatic_half_width(60)
+    assert automatic_half_width(10, 2, 0.22) > automatic_half_width(10, 1, 0.22)
+    assert automatic_half_width(60, 1, 0.4) > automatic_half_width(60, 1, 0.22)
 
 
 def test_a_band_without_a_line_is_refused(plain_run):

@@ -139,6 +139,7 @@ def identify(
     progress("checking the tests", 0.0)
     _check_options(options)
     _check_rig(tables, commands, options)
+    options = options.of_tests(tables, commands)
     names = tables[0].command_names
     same_tests = [run.source for run in tables] == [run.source for run in commands]
     if not same_tests:

@@ -51,8 +51,10 @@ PARAMETERS = [
     Parameter("estimator", METHOD.estimator, "of Welch's method", choices=get_args(Estimator)),
     Parameter("order", METHOD.order, "of the local methods' polynomials; 0: 2 rational, 4 polynomial", minimum=0),
     Parameter("half_width", METHOD.half_width, "lines to each side of the local methods; 0: by the record", minimum=0),
-    Parameter("table_band", list(DEFAULTS.table_band), "Hz, lowest and highest frequency used", minimum=0.0),
-    Parameter("command_band", list(DEFAULTS.command_band), "Hz, lowest and highest frequency used", minimum=0.0),
+    Parameter("table_band", list(DEFAULTS.table_band), "Hz, lowest and highest used; 0, 0: as excited", minimum=0.0),
+    Parameter(
+        "command_band", list(DEFAULTS.command_band), "Hz, lowest and highest used; 0, 0: as excited", minimum=0.0
+    ),
     Parameter(
         "command_order",
         DEFAULTS.command_order,
@@ -145,6 +147,7 @@ class Identify(AbraceNode):
         )
         table, command = ([run for bag in bags for run in runs[bag]] for bags in (given.table, given.command))
         found = self.identified(table, command, options, progress)
+        options = options.of_tests(table, command)
         for warning in found.warnings:
             self.get_logger().warning(warning)
         output = Path(given.output)

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from abrace_core.errors import AbraceError
-from abrace_sysid.spectra.fourier import LEAST_BANDWIDTH, ORDER, Test, automatic_half_width, runs_of_one_rig
+from abrace_sysid.spectra.bands import slowest_bandwidth
+from abrace_sysid.spectra.fourier import ORDER, Test, automatic_half_width, runs_of_one_rig
 from abrace_sysid.spectra.local_polynomial import local_responses
 from abrace_sysid.spectra.welch import Estimator, welch
 
@@ -52,7 +53,7 @@ class TransferFunctionOptions:
     window, overlap, estimator
         Of Welch's method, see `welch`.
     bandwidth
-        2 zeta omega [rad/s] of the least damped mode expected.
+        2 zeta omega [rad/s] of the narrowest resonance expected; 0: `slowest_bandwidth` of the first test.
     """
 
     method: Method = "local_rational"
@@ -62,7 +63,7 @@ class TransferFunctionOptions:
     window: str = "hann"
     overlap: float = 0.5
     estimator: Estimator = "H1"
-    bandwidth: float = LEAST_BANDWIDTH
+    bandwidth: float = 0.0
 
 
 def frequency_responses(
@@ -100,7 +101,8 @@ def frequency_responses(
         return local_responses(runs, inputs, band, options.order or 4, options.half_width or 6, poles=0)
     if options.method == "local_rational":
         seconds = shortest * runs[0].sample_period
-        half_width = options.half_width or automatic_half_width(seconds, len(inputs), options.bandwidth)
+        bandwidth = options.bandwidth or slowest_bandwidth(runs[0], band)
+        half_width = options.half_width or automatic_half_width(seconds, len(inputs), bandwidth)
         return local_responses(runs, inputs, band, options.order or ORDER, half_width, poles=1)
     expected = "'local_rational', 'local_polynomial' or 'welch'"
     raise AbraceError(f"transfer functions: method {options.method!r}, expected {expected}")

@@ -32,9 +32,6 @@ Test = TypeVar("Test", Run, MeasuredData)
 ORDER = 2
 """Of the numerators' and transients' polynomials in local rational fits: as good as higher ones, with less noise."""
 
-LEAST_BANDWIDTH = 0.22
-"""2 zeta omega [rad/s] of the paper's first mode: 7.4 rad/s and 1.5 % damping."""
-
 
 @dataclass(frozen=True)
 class Spectra:
@@ -93,7 +90,7 @@ def spectra_of(run: Run | MeasuredData, inputs: Sequence[str], band: tuple[float
     return Spectra(tuple(inputs), run.names, omega, excitation, transform(run.outputs)[lines], run.sample_period, holds)
 
 
-def automatic_half_width(seconds: float, inputs: int = 1, bandwidth: float = LEAST_BANDWIDTH) -> int:
+def automatic_half_width(seconds: float, inputs: int, bandwidth: float) -> int:
     """Half-width [lines] of the local rational method's windows for a record of some length.
 
     More lines average more noise, but one pole must do for the whole window: it reaches 6 half-power bandwidths of the
@@ -106,7 +103,7 @@ def automatic_half_width(seconds: float, inputs: int = 1, bandwidth: float = LEA
     inputs
         How many were excited.
     bandwidth
-        2 zeta omega [rad/s] of the least damped mode expected.
+        2 zeta omega [rad/s] of the narrowest resonance expected.
     """
     reach = 6 * bandwidth * seconds / (2 * np.pi)
     return int(np.clip(round(reach), least_half_width(ORDER, inputs) + 3, 20))

@@ -72,6 +72,7 @@ def judge(
     failure
         Why it failed.
     """
+    options = options.of_tests(table, command)
     findings: list[Finding] = []
     not_checked: dict[str, str] = {}
     if found is None:
