@@ -30,12 +30,16 @@ from abrace_plant.rig.motion import RigMotion
 from abrace_sysid.validation import compare
 
 if TYPE_CHECKING:
-    from abrace.report.results import Comparison, ValidityResult
+    from collections.abc import Mapping
+
+    from abrace.report.results import Agreement, Comparison, ValidityResult
     from abrace_plant.rig.model import Rig
 
 RIG = "ncree_as_a_rig"
 KEPT = Path("results") / RIG
 """Where the campaign's report and figures stay."""
+ACCEPTED = ("unstable_with_check_model", "small_gain_margin", "small_disk_margin")
+"""With one of the 30 models drawn about the identified one the loop is not stable; it is so on the rig."""
 RESPONSES = ("x1", "x2", "x3", "a1", "a2", "a3")
 
 
@@ -43,13 +47,16 @@ def verify_as_a_rig() -> tuple[dict[str, Any], list[Claim], list[Table]]:
     """Values for verify.json, claims, and a table of the prediction."""
     rig = load_rig(find_file(RIG, "abrace_plant", "config", ".yaml", "rig"))
     found, own, validity = run(rig)
-    errors = {name: row.noise_free_error for name, row in found.simulated_vs_measured.items()}
+    shown = next(name for name in found.other_models if name.startswith("with "))
+    errors = errors_of(found.other_models[shown].simulated_vs_measured)
     error, order = own_substeps(rig)
     values: dict[str, Any] = {
         "prediction_error": max(errors[name] for name in RESPONSES),
         "named": validity.verdict == "trust with care" and "friction" in validity.causes,
         "causes": list(validity.causes),
         "errors": errors,
+        "errors_of_the_linear_model": errors_of(found.simulated_vs_measured),
+        "not_linear": shown.removeprefix("with ").split(", "),
         "errors_of_the_rigs_linear_model": own,
         "peak_rms_error": found.peak_rms_error,
         "table1_error": table1_error(found),
@@ -58,6 +65,7 @@ def verify_as_a_rig() -> tuple[dict[str, Any], list[Claim], list[Table]]:
         "sample_us": sample_time(rig),
     }
     claims = [
+        Claim("rig as it is: prediction with what is not linear", values["prediction_error"], 0.05, "of the rms"),
         Claim("rig as it is: validity says with care, and friction", float(values["named"]), 1.0, "-", least=True),
         Claim("rig as it is: error at its own substeps", error, 3e-4, "32 times finer"),
         Claim("rig as it is: the same over four times finer", order, 3.0, "order 1 to 2", least=True),
@@ -71,7 +79,8 @@ def run(rig: Rig) -> tuple[Comparison, dict[str, float], ValidityResult]:
     text = find_file("demo", "abrace", "campaigns", ".yaml", "campaign").read_text(encoding="utf-8")
     with isolated() as here:
         campaign = Path(f"{RIG}.yaml")
-        of_demo, of_this = ("name: demo", "rig: ncree_three_storey"), (f"name: {RIG}", f"rig: {RIG}")
+        of_demo = "name: demo", "rig: ncree_three_storey", "weights: lqg3}"
+        of_this = f"name: {RIG}", f"rig: {RIG}", f"weights: lqg3, accept: [{', '.join(ACCEPTED)}]}}"
         for old, new in zip(of_demo, of_this, strict=True):
             text = text.replace(old, new, 1)
         campaign.write_text(text, encoding="utf-8")
@@ -84,6 +93,11 @@ def run(rig: Rig) -> tuple[Comparison, dict[str, float], ValidityResult]:
         shutil.rmtree(here / KEPT, ignore_errors=True)
         shutil.copytree(results, here / KEPT)
     return found.comparisons["comparison"], own.noise_free_error(), found.validity["model"]
+
+
+def errors_of(agreements: Mapping[str, Agreement]) -> dict[str, float]:
+    """Error without sensor noise by channel."""
+    return {name: row.noise_free_error for name, row in agreements.items()}
 
 
 def table1_error(found: Comparison) -> float:
@@ -125,12 +139,12 @@ def sample_time(rig: Rig) -> float:
 
 
 def _table(found: Comparison, own: dict[str, float]) -> Table:
-    header = ("", "identified", "superposed", "reduced", "the rig's linear model")
-    models = (found, found.other_models["superposed"], found.other_models["reduced"])
+    header = ("", "identified", *found.other_models, "the rig's linear model")
+    models = [found.simulated_vs_measured, *(one.simulated_vs_measured for one in found.other_models.values())]
     rows = tuple(
         (
             name,
-            *(f"{100 * m.simulated_vs_measured[name].noise_free_error:.1f}" for m in models),
+            *(f"{100 * model[name].noise_free_error:.1f}" for model in models),
             f"{100 * own[name]:.1f}",
         )
         for name in found.simulated_vs_measured

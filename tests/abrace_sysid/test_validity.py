@@ -13,14 +13,13 @@ from abrace_sysid.figures.validity import validity_figure, worst_of_each
 from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.fitting.pole_estimate import PoleInterval
 from abrace_sysid.identification import identify
-from abrace_sysid.validation import compare
+from abrace_sysid.validation import compare, predicted
 from abrace_sysid.validity.finding import Finding, Validity, Verdict
 from abrace_sysid.validity.judgement import judge, judge_failure
 from abrace_sysid.validity.kinematics import kinematics
 from abrace_sysid.validity.mechanics import backlashes, storey_frictions
 from abrace_sysid.validity.model_findings import disagreeing, lag, lag_of_response
 from abrace_sysid.validity.motion import Motion
-from abrace_sysid.validity.prediction import predicted
 from abrace_sysid.validity.sensor_findings import dead, saturated, spiked
 from abrace_sysid.validity_results import write_validity
 

@@ -23,12 +23,16 @@ from abrace_core.linear_model import takes_models
 from abrace_core.response import PeakRms, peak_rms_of
 from abrace_core.sequence import breaks
 from abrace_core.simulation import simulate, simulate_closed_loop
+from abrace_sysid.nonlinear.motion import simulate_nonlinear
+from abrace_sysid.validity.prediction import prediction_finding
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_core.linear_model import LinearModel
     from abrace_core.run import Run
+    from abrace_sysid.nonlinear.elements import Nonlinearity
+    from abrace_sysid.validity.finding import Finding
 
 NOISE_BAND = 0.8
 """Share of half the sample rate from which on a record is sensor noise alone."""
@@ -122,6 +126,7 @@ def compare(
     controller: LinearModel | None,
     capacity: NDArray[np.float64],
     correction: NDArray[np.float64] | None = None,
+    not_linear: Nonlinearity | None = None,
 ) -> Comparison:
     """Simulate a recorded test, for comparison with the record.
 
@@ -137,6 +142,8 @@ def compare(
         (commands,) greatest command [N].
     correction
         (controller's states, commands): the controller's G_d, as in `simulate_closed_loop`.
+    not_linear
+        What acts on the model beside; None: it is simulated as it is.
 
     Raises
     ------
@@ -151,16 +158,21 @@ def compare(
         raise AbraceError(f"{run.source}: expected two or more consecutive samples without a gap")
     if len(capacity) != run.groups:
         raise AbraceError(f"{run.source}: {len(capacity)} capacities, expected one for each of {run.groups} commands")
-    sampled = discretize(model.select(run.names, wanted), run.sample_period)
-    if controller is None:
-        command = np.clip(run.command_from_here, -capacity, capacity)
-        simulated = simulate(sampled, np.column_stack([run.ground_acceleration, command]))
+    unmeasured = [name for name in controller.inputs if name not in run.names] if controller else []
+    if unmeasured:
+        raise AbraceError(f"{run.source}: the controller measures {', '.join(unmeasured)}, which the run has not")
+    ground, wanted_model = run.ground_acceleration, model.select(run.names, wanted)
+    given = np.clip(run.command_from_here, -capacity, capacity)
+    if not_linear is not None:
+        law = controller, capacity, correction
+        motion = simulate_nonlinear(wanted_model, not_linear, run.sample_period, ground, given, *law)
+        simulated, commands = motion.outputs, motion.commands if controller else run.command
+    elif controller is None:
+        simulated = simulate(discretize(wanted_model, run.sample_period), np.column_stack([ground, given]))
         commands = run.command
     else:
-        unmeasured = [name for name in controller.inputs if name not in run.names]
-        if unmeasured:
-            raise AbraceError(f"{run.source}: the controller measures {', '.join(unmeasured)}, which the run has not")
-        simulated, commands = simulate_closed_loop(sampled, controller, run.ground_acceleration, capacity, correction)
+        sampled = discretize(wanted_model, run.sample_period)
+        simulated, commands = simulate_closed_loop(sampled, controller, ground, capacity, correction)
     return Comparison(
         run.source,
         run.time,
@@ -168,3 +180,14 @@ def compare(
         np.hstack([run.outputs, run.command]),
         np.hstack([simulated, commands]),
     )
+
+
+def predicted(comparison: Comparison) -> Finding:
+    """The finding on one test that a model has predicted.
+
+    Parameters
+    ----------
+    comparison
+        Measured and simulated.
+    """
+    return prediction_finding({name: e for name, e in comparison.noise_free_error().items() if name[0] != "U"})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,7 @@ from abrace_sysid.figures.poles import confidence
 from abrace_sysid.figures.validity import validity_figure
 from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.identification_results import write_identification
+from abrace_sysid.nonlinear.identified import elements_of_tests
 from abrace_sysid.validity.judgement import judge
 from abrace_sysid.validity_results import write_validity
 
@@ -143,7 +144,7 @@ def identify(
         Tests (Runs or bags, one or several) with noise or a multisine on the table, and as command; the same ones where
         both were excited at once.
     table_band, command_band
-        [Hz], within which the tests are used.
+        [Hz], within which the tests are used; (0, 0): all that they excite.
     reduced_order
         States of the reduced model; 0: as many as count.
     servo_lag
@@ -167,7 +168,11 @@ def identify(
     tables, commands = runs_of(table), runs_of(command)
     found = identification.identify(tables, commands, options)
     warn(found.warnings)
-    return Identified(found, judge(tables, commands, options, found))
+    judged = judge(tables, commands, options, found)
+    elements = elements_of_tests(found, options, judged.validity.causes)
+    if elements is not None:
+        found = replace(found, model=elements.noted_in(found.model))
+    return Identified(found, judged)
 
 
 def pole_intervals(pairs: Sequence[PoleInterval]) -> pandas.DataFrame:

@@ -12,7 +12,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.tables import data_frame
 from abrace_sysid import validation
 from abrace_sysid.figures.validation import time_histories
-from abrace_sysid.validity.prediction import predicted
+from abrace_sysid.nonlinear.elements import Nonlinearity
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,10 +35,13 @@ class Validated:
         Measured and simulated.
     finding
         Of the channel that is predicted worst.
+    not_linear
+        The same with what the model's tests showed of friction, joints, deadband and backlash; None: nothing.
     """
 
     comparison: Comparison
     finding: Finding
+    not_linear: Comparison | None = None
 
     def __repr__(self) -> str:
         worst = f"worst {self.finding.where}, {100 * self.finding.value:.2g} % beyond its noise"
@@ -100,5 +103,7 @@ def validate(test: AnyRun, model: AnyModel, *, controller: AnyController | None 
     if controller is not None:
         given = controller_of(controller)
         law, limit, correction = given.law, given.force_limit, given.correction
-    comparison = validation.compare(run, model_of(model), law, limit, correction)
-    return Validated(comparison, predicted(comparison))
+    linear = model_of(model)
+    comparison, elements = validation.compare(run, linear, law, limit, correction), Nonlinearity.of_model(linear)
+    other = None if elements is None else validation.compare(run, linear, law, limit, correction, elements)
+    return Validated(comparison, validation.predicted(comparison), other)

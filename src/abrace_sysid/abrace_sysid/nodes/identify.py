@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, get_args
 from abrace_bags import read_runs
 from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import save_model
 from abrace_core.node import AbraceNode, Parameter, run
 from abrace_sysid.data_identification import DataOptions, identify_data
 from abrace_sysid.data_results import write_data_results
@@ -24,6 +25,7 @@ from abrace_sysid.identification import Identification, identify
 from abrace_sysid.identification_results import write_identification
 from abrace_sysid.measured_data import DataHold, read_data, units_of
 from abrace_sysid.models.reduction import errors_by_order
+from abrace_sysid.nonlinear.identified import elements_of_tests
 from abrace_sysid.spectra.estimation import Method, TransferFunctionOptions
 from abrace_sysid.spectra.welch import Estimator
 from abrace_sysid.validity.data_judgement import judge_data
@@ -157,6 +159,10 @@ class Identify(AbraceNode):
         progress("judging", 1.0)
         judged = judge(table, command, options, found)
         write_validity(judged, output)
+        of_tests = elements_of_tests(found, options, judged.validity.causes)
+        if of_tests is not None:
+            save_model(of_tests.noted_in(found.model), output / "model.json", found.covariance)
+            print(f"beside the linear model predictions have {of_tests.text}")
         print(f"wrote {output}")
         print(judged.validity.text())
 

@@ -22,8 +22,8 @@ from abrace_core.node import AbraceNode, Parameter, run
 from abrace_core.response import PeakRms, clipped_sentences, in_paper_units, paper_unit, peak_rms, unit_system
 from abrace_core.run import Run
 from abrace_sysid.figures import validation as figures
-from abrace_sysid.validation import Comparison, compare
-from abrace_sysid.validity.prediction import predicted
+from abrace_sysid.nonlinear.elements import Nonlinearity
+from abrace_sysid.validation import Comparison, compare, predicted
 
 PARAMETERS = [
     Parameter("bag", "", "bag of the test to compare", required=True),
@@ -108,7 +108,13 @@ class Validate(AbraceNode):
         if self.parameters.controller:
             controller = load_controller(self.parameters.controller)
             law, limit, correction = controller.law, controller.force_limit, controller.correction
-        return {name: compare(test, model, law, limit, correction) for name, model in models.items()}
+        found = {}
+        for name, model in models.items():
+            found[name] = compare(test, model, law, limit, correction)
+            not_linear = Nonlinearity.of_model(model)
+            if not_linear is not None:
+                found[f"with {not_linear.kinds}"] = compare(test, model, law, limit, correction, not_linear)
+        return found
 
 
 def _tested(run: Run) -> str:

@@ -154,6 +154,18 @@ def storey_frictions(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> lis
     ]
 
 
+def floor_masses(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> dict[int, float]:
+    """Masses [kg] of floors by number, from the test that shows the braces' forces best; none without load cells.
+
+    Parameters
+    ----------
+    tests
+        As of `storey_frictions`.
+    """
+    balances = [balance for motion, band in tests if (balance := _Balance.of(motion, band)) is not None]
+    return _masses(max(balances, key=lambda balance: balance.surest)) if balances else {}
+
+
 def _equation(
     motion: Motion,
     acceleration: NDArray[np.complex128],

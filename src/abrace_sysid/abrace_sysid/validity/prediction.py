@@ -9,22 +9,9 @@ from abrace_sysid.validity.finding import Finding, judged
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from abrace_sysid.validation import Comparison
-
 MISSED = (0.03, 0.3)
 """Rms error without sensor noise over the measured rms, of the worst channel: from the first on care is needed, from
 the second on the model cannot be trusted."""
-
-
-def predicted(comparison: Comparison) -> Finding:
-    """The finding on one test that a model has predicted.
-
-    Parameters
-    ----------
-    comparison
-        Measured and simulated.
-    """
-    return prediction_finding({name: e for name, e in comparison.noise_free_error().items() if name[0] != "U"})
 
 
 def prediction_finding(errors: Mapping[str, float]) -> Finding:
