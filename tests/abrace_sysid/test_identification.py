@@ -355,8 +355,9 @@ MISTAKES = {
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_tests_that_are_not_what_they_should_be_are_refused(mistake, table_test, command_test):
     spoil, message = MISTAKES[mistake]
+    options = IdentificationOptions(table_band=(0.3, 10.0), command_band=(0.3, 30.0))
     with pytest.raises(AbraceError, match=message):
-        identify(*spoil(table_test, command_test))
+        identify(*spoil(table_test, command_test), options)
 
 
 @pytest.mark.parametrize(
