@@ -1,6 +1,6 @@
-"""Ambient tests, measured: errors, intervals, false alarms and changes found, beside pyOMA2 on the same records.
+"""Accuracy of ambient tests: errors, intervals, false alarms and changes found, with pyOMA2 on the same records.
 
-pyOMA2 gets the same band, rate, lags, orders and pieces, and beside that what a person would click for it: the true
+pyOMA2 gets the same band, rate, lags, orders and pieces, and in addition what a person would select for it: the true
 frequencies, and its best order: of 12, 16, 20, 30 and the lowest at which all are stable, 16 has the least errors. It
 is not among what `make setup` installs (it needs scikit-learn, pandas, requests and more): `pip install pyOMA_2==1.4.3`
 into a copy of the environment. Part of `make verify`; by itself: `python benchmarks/ambient_accuracy.py`.
@@ -83,7 +83,7 @@ def judge(found: list[Found], poles: NDArray[np.float64], pieces: int) -> dict[s
 
 
 def changed(before: list[AmbientTest], after: list[AmbientTest]) -> float:
-    """Share of the pairs of tests of which the building is said to have changed."""
+    """Share of the pairs of tests for which a change of the building is reported."""
     return float(np.mean([bool(compare_tests(*pair).changed) for pair in zip(before, after, strict=True)]))
 
 
@@ -111,7 +111,7 @@ def verify_ambient() -> tuple[dict[str, Any], list[Claim], list[Table]]:
     if importlib.util.find_spec("pyoma2") is not None:
         theirs = [by_pyoma(structure.record(SECONDS, k), one, poles) for k, one in enumerate(tests)]
         values["pyoma2"] = judge(theirs, poles, tests[0].pieces)
-        peer = "pyOMA2, told the frequencies"
+        peer = "pyOMA2, given the frequencies"
     title = f"Ambient tests of {SECONDS:g} s, the bare frame, {SEEDS} seeds: rms errors of all modes, coverage of 95 %"
     rows = [("abrace", values), (peer, values["pyoma2"])]
     quantities = ("frequency_error", "damping_error", "frequency_coverage", "damping_coverage")
@@ -119,7 +119,7 @@ def verify_ambient() -> tuple[dict[str, Any], list[Claim], list[Table]]:
         title,
         ("", *(name.replace("_", " ") for name in quantities)),
         tuple((name, *(f"{one[key]:.3g}" if one else "-" for key in quantities)) for name, one in rows),
-        (f"{values['others']} modes beside the true ones in all {SEEDS} tests",),
+        (f"{values['others']} modes other than the true ones in all {SEEDS} tests",),
     )
     claims = [
         Claim("ambient: tests in which every mode is found", values["found"], 1.0, "-", least=True),
@@ -127,7 +127,7 @@ def verify_ambient() -> tuple[dict[str, Any], list[Claim], list[Table]]:
             Claim(f"ambient: 95 % intervals of {name} that hold", values[f"{name}_coverage"], 0.9, "0.95", least=True)
             for name in ("frequency", "damping")
         ),
-        Claim("ambient: unchanged frame said to have changed", values["false_alarms"], 0.1, "0.01 asked of the test"),
+        Claim("ambient: unchanged frame reported as changed", values["false_alarms"], 0.1, "0.01 asked of the test"),
         Claim(
             f"ambient: {WEAKER:.0%} less of a storey found",
             values["changes_found"],

@@ -1,4 +1,4 @@
-"""What a bag holds after the worst: loggers killed, power lost, files that were cut off or damaged.
+"""What is left of a bag after the worst cases: killed loggers, power losses, files cut off or damaged.
 
 kills, opened       loggers killed at random moments, and bags of theirs that could be read
 missing             messages that those bags lack before their end

@@ -1,4 +1,4 @@
-"""What a large bag costs: `abrace bag info` of 1 GB, and recovery and export of it.
+"""Time and memory for a large bag: `abrace bag info` of 1 GB, and its recovery and export.
 
 info            `seconds` and `peak_megabytes` of the command, from start to end; the least of a few runs
 rosbags         the same of `rosbags`: topics, counts, duration (it has no gaps and losses)

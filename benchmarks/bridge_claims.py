@@ -1,4 +1,4 @@
-"""What is claimed of the bridge: a flooded UDP device, and the demo in real time through emulator and bridge."""
+"""Claims about the bridge: a flooded UDP device, and the demo in real time through emulator and bridge."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Endurance of the UDP device: malformed packets at 10 kHz from the target's own address while the loop runs at 500 Hz.
 
-The target is a process of its own. Its samples can be told by their values, so that no wrong one can pass unseen.
+The target is a process of its own. Its samples can be identified by their values, so that no wrong one passes
+unnoticed.
 
 python benchmarks/bridge_endurance.py [malformed packets]
 """

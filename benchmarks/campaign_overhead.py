@@ -1,4 +1,4 @@
-"""What a test of a campaign costs beside its samples: 100 short tests in lockstep, and bare starts of as many nodes.
+"""The overhead of a test in a campaign: 100 short tests in lockstep, and bare starts of as many nodes.
 
 overhead_seconds  from the last sample of a test to the first one of the next, on average
 cpu_seconds       of processors, for a test: of all its processes, its samples and its share of the report included

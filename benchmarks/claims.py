@@ -1,4 +1,4 @@
-"""Numbers that are asked for, and those that were reached."""
+"""Claims: measured numbers and the limits that they have to meet."""
 
 from __future__ import annotations
 

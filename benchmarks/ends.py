@@ -20,7 +20,7 @@ from abrace.processes.parameter_file import parameter_file
 from abrace_core.controller_file import save_controller
 
 PATIENCE = 30.0
-"""Seconds in which what was told to end has to end."""
+"""Seconds within which a process has to end after the signal."""
 NODES: dict[str, tuple[str, dict[str, Any]]] = {
     "plant": ("abrace_plant", {}),
     "ground_motion": ("abrace_plant", {"record": "white_noise", "duration": 60.0}),

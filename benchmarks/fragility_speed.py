@@ -1,6 +1,6 @@
 """Speed of many closed loops of the paper's rig: what `abrace fragility` does, from models to Parquet files.
 
-linear      100 000 loops of 50 000 steps: 100 models drawn about the identified one, 20 controllers, 50 noises, no
+linear      100 000 loops of 50 000 steps: 100 models drawn from the identified one, 20 controllers, 50 noises, no
             command at its limit
 saturating  100 000 loops of 50 000 steps, a command at its limit in every one: 25 models, 20 controllers, 50 noises, 4
             intensities

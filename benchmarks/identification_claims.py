@@ -1,4 +1,4 @@
-"""What is claimed of identification, and the tables that set it beside other methods and models."""
+"""Claims about identification, and the tables that compare it with other methods and models."""
 
 from __future__ import annotations
 

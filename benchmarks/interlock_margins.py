@@ -1,4 +1,4 @@
-"""The interlocks of the paper's rig: how near each comes in the tests that shall not trip them, and what trips them.
+"""The interlocks of the paper's rig: their utilisation in tests that must not trip them, and the faults that trip them.
 
 tests       by test, the utilisation of each interlock: its greatest value over its limit; and the trips, none
 causes      by planted cause: the interlock that acted, after how long [ms], the greatest drift until then and after [m]

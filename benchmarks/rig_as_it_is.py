@@ -1,8 +1,8 @@
 """The whole demo on a rig as it is: with friction, backlash, joints that yield, a valve, a table, filters and hum.
 
 The campaign is `demo.yaml` on `ncree_as_a_rig`. The model of its tests, which is linear, predicts the controlled
-earthquake; beside it the rig's own linear model, which knows every number of the rig and none of what is not linear:
-what is left there no test at small amplitude could have found.
+earthquake. For comparison the rig's own linear model predicts it, too, with all linear numbers of the rig and no
+nonlinear effect: no test at small amplitude could find a better one.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ REST_MARGIN = round(0.1 * RATE)
 """Samples beyond the ramp within which a rig that is deactivated or interrupted has taken its last one."""
 STALL = 3.0
 TRIES = 3
-"""Of having the rig run before a case begins: it is a fault, too, where the machine stands still for 20 ms."""
+"""Attempts to have the rig running before a case begins: a machine that is blocked for 20 ms also causes a fault."""
 FLOOD, FLOOD_RATE = 2000, 10_000
 """Messages, and a second."""
 DRIVEN: dict[str, Any] = {"rms": 4000.0, "duration": 60.0}
@@ -72,7 +72,7 @@ class Rig:
             assert graph.change_state("ground_motion", "activate")
 
     def start_commander(self) -> None:
-        """Start whoever commands."""
+        """Start the node that commands."""
         self.commands.clear()
         if self.commander == "controller":
             self.graph.start("controller", "--params-file", self.graph.folder / "lqg3.yaml")
@@ -203,7 +203,7 @@ def commander_interrupted(rig: Rig) -> None:
 
 
 def rig_stalled(rig: Rig) -> None:
-    """Held up for 3 s: a fault of the rig and of whoever commands it, and every sample that was missed is missing."""
+    """Delayed for 3 s: a fault of the rig and of the node that commands it; the missed samples have no message."""
     rig.until_driven(2e3)
     plant = rig.graph.started["plant"].group
     os.kill(plant, signal.SIGSTOP)

@@ -1,7 +1,7 @@
 """What may act, tried on running nodes in lockstep: what is wrong with a command, a stop or a sensor, and clearing it.
 
-Each case is a function that fails with an AssertionError. They share a plant whose braces and table are in our hand, or
-a commander before which we stand in the rig's place. For `make verify`, with those of `safety_by_the_clock`.
+Each case is a function that fails with an AssertionError. They share a plant that the case commands, or a controller to
+which the case plays the rig. For `make verify`, with those of `safety_by_the_clock`.
 """
 
 from __future__ import annotations
@@ -257,7 +257,7 @@ def clear_during_the_ramp(hands: Hands) -> None:
         hands.hold(PUSH, RAMP // 6)
         answer = hands.graph.clear_fault("plant")
         assert not answer.success, "cleared on the way to rest"
-        assert "still on the way to rest" in answer.message, answer.message
+        assert "still ramping down" in answer.message, answer.message
     hands.expect_rest(first + 1, Response.LATCHED, "expected finite numbers")
 
 

@@ -1,7 +1,7 @@
-"""Planted faults: how often validity names them, and how often it names one on the linear rig.
+"""Simulated faults: how often validity names them, and how often it names one on the linear rig.
 
-Every fault is planted in tests of 120 s each on the table and with the command, 20 seeds; what varies from seed to seed
-(storey, channel, unit) goes through a list. The limits of the checks were set on other seeds (docs/validity.md).
+Every fault is simulated in tests of 120 s each on the table and with the command, 20 seeds; what varies from seed to
+seed (storey, channel, unit) goes through a list. The limits of the checks were set on other seeds (docs/validity.md).
 """
 
 from __future__ import annotations

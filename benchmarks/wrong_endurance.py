@@ -40,7 +40,7 @@ def wrong_endurance(graph: Graph, messages: int, requests: int, chance: random.R
     graph.start("plant")
     graph.start("excitation", rms=3000.0, duration=600.0)
     graph.start("ground_motion", record="white_noise", rms=0.1, duration=100.0)
-    # two senders are a fault: the controller hears the rig, and nobody hears it
+    # two senders are a fault: the controller receives the rig's samples, but its own commands reach no node
     graph.start("controller", "--params-file", graph.folder / "lqg3.yaml", "-r", "brace_command:=unheard")
     fuzz = WrongMessages(graph, chance)
     graph.until(lambda: len(graph.statuses) == len(NODES), "all nodes")

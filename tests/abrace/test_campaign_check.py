@@ -45,7 +45,7 @@ def test_everything_that_is_wrong_is_told_before_the_first_test(tmp_path: Path) 
     expected = [
         "14 mistakes, nothing was started",
         "step a: a lockstep test without any input",
-        "step b: test.ground_motion: ground motion el_centro is more than the table has: acceleration 30",
+        "step b: test.ground_motion: ground motion el_centro exceeds the table's limits: acceleration 30",
         f"step c: test.ground_motion: ground motion {tmp_path}/records/none.csv: no such file, and no such name",
         f"step c: test.controller: controller file {tmp_path}/lqg.yaml: nothing: unknown key",
         "step d: test.controller: package abrace_lqg has no executable 'skyhook'",

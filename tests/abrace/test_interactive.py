@@ -180,7 +180,7 @@ SHORT = {"record": "el_centro", "peak_acceleration": 0.98, "duration": 1.0}
         (lambda: abrace.load_record("elcentro"), "no such file, and no such name (names: el_centro"),
         (lambda: abrace.simulate(RIG), "simulate: neither record nor command, expected one of both"),
         (lambda: abrace.simulate(RIG, **SHORT, lowcut=0.1, taber=1.0), "simulate: lowcut, taber: unknown, expected a"),
-        (lambda: abrace.simulate(RIG, "el_centro", peak_acceleration=30.0), "is more than the table has: "),
+        (lambda: abrace.simulate(RIG, "el_centro", peak_acceleration=30.0), "exceeds the table's limits: "),
         (lambda: abrace.simulate(RIG, command=np.zeros((9, 2))), "command of shape (9, 2), expected (samples, 1)"),
         (lambda: abrace.simulate(RIG, **SHORT, command="noise"), "command 'noise', expected an array or 'white_noise'"),
         (lambda: abrace.simulate(RIG, **SHORT, command=[0.0], controller="lqg.yaml"), "expected one of both"),

@@ -252,7 +252,7 @@ def test_inputs_of_a_rig_are_left_out_with_a_warning(tmp_path: Path) -> None:
     assert found.count == 2
     (warning,) = found.warnings
     left_out = "/lab/brace_command, /lab/emergency_stop, /lab/force, /lab/ground_motion"
-    assert warning.startswith(f"{left_out} left out: a rig obeys them")
+    assert warning.startswith(f"{left_out} left out: they command a rig")
     by_name = bag_to_replay(str(tmp_path / "bag"), ["force", "note"], 0.0, 0.0)
     assert (list(by_name.topics), by_name.warnings) == (["/lab/force", "/lab/note"], ())
 

@@ -328,7 +328,7 @@ def test_damaged_facts_are_an_error(tmp_path: Path) -> None:
     write_bag(tmp_path / "bag", 3)
     path = mcap_of(tmp_path / "bag")
     path.write_bytes(path.read_bytes().replace(b"three storeys", b"seven storeys", 1))
-    with pytest.raises(AbraceError, match="facts do not fit their checksum"):
+    with pytest.raises(AbraceError, match="facts do not match their checksum"):
         read_facts(path)
 
 
@@ -413,7 +413,7 @@ def test_every_form_of_mcap_is_read(tmp_path: Path, compression: CompressionType
         damaged = bytearray(path.read_bytes())
         damaged[damaged.index(b"table")] ^= 1
         path.write_bytes(damaged)
-        with pytest.raises(AbraceError, match="do not fit their checksum"):
+        with pytest.raises(AbraceError, match="do not match their checksum"):
             read_topics(path)
 
 

@@ -95,7 +95,7 @@ def test_channels_at_the_end_of_their_range_are_counted_where_the_bag_says_so(
 
 
 def test_single_sample_without_period_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(AbraceError, match="stamps don't count up and the facts have no sample_period"):
+    with pytest.raises(AbraceError, match="stamps do not increase and the facts have no sample_period"):
         read_run(write(tmp_path / "bag", [response(0)], {}))
 
 

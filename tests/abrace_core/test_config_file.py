@@ -60,5 +60,5 @@ def test_yaml_of_users_may_merge_mappings_and_write_powers_of_ten_as_they_like(t
         "d": [-2.5e-3, 1e3, "1e3x"],
     }
     path.write_text("a: {p: 1, p: 2}\n")
-    with pytest.raises(AbraceError, match=r"some file .*: line 1: key 'p' stands twice"):
+    with pytest.raises(AbraceError, match=r"some file .*: line 1: key 'p' appears twice"):
         read_mapping(path, "some")

@@ -40,7 +40,7 @@ def test_quantiles_are_exact():
 
 
 @pytest.mark.parametrize(
-    ("sequences", "expected"), [([1, 2], "2 samples"), ([5, 6, 0, 1], "began anew"), ([5, 5, 6], "began anew")]
+    ("sequences", "expected"), [([1, 2], "2 samples"), ([5, 6, 0, 1], "restarted"), ([5, 5, 6], "restarted")]
 )
 def test_what_is_no_run_of_samples_is_refused(sequences, expected):
     with pytest.raises(AbraceError, match=expected):

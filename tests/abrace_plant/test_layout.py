@@ -139,7 +139,7 @@ def test_a_time_beyond_all_clocks_is_malformed():
         ("[{field: counter, type: uint8}]", "sample: no field w, expected counter, w"),
         ("[{field: a9, type: float64}]", "sample.0.field: 'a9', expected one of counter, answered, enable, time, crc,"),
         ("[{field: [w, counter], type: uint8}]", "sample.0.field: 'counter', expected one of"),
-        ("[{field: w, type: float64}, {field: w, type: float64}]", "sample.1.field: 'w' stands twice"),
+        ("[{field: w, type: float64}, {field: w, type: float64}]", "sample.1.field: 'w' appears twice"),
         ("[{field: crc, type: uint32}, {field: w, type: float64}]", "crc, expected at the end of the packet"),
         ("[{field: crc, type: uint16}]", "sample.0.type: uint16 for crc, expected uint32"),
         ("[{field: counter, type: float64}]", "sample.0.type: float64 for counter, expected uint8"),

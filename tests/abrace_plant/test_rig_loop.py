@@ -165,7 +165,7 @@ def test_it_is_cleared_at_rest_alone_and_then_the_force_fades_in(bench):
     bench.drive([8000.0] * 10)
     bench.safety.fault("test")
     bench.drive([8000.0] * 100)
-    with pytest.raises(AbraceError, match="still on the way to rest"):
+    with pytest.raises(AbraceError, match="still ramping down"):
         bench.safety.clear(bench.loop.moving())
     bench.drive([8000.0] * 300)
     with pytest.raises(AbraceError, match="brace_command still asks for 8000, expected every input at rest first"):
@@ -217,7 +217,7 @@ def test_a_rig_that_was_held_up_is_a_fault_and_its_samples_are_missing(bench):
     assert bench.loop.take(reading(bench, LATE_LIMIT, True)).head.sequence == 1007 + LATE_LIMIT + 1
     assert not bench.safety.cause
     assert bench.loop.take(reading(bench, LATE_LIMIT + 1, True)).head.flags == LATE | LOCKSTEP
-    assert "held up: 11 samples missed before sample 1030" in bench.safety.cause
+    assert "delayed: 11 samples missed before sample 1030" in bench.safety.cause
     assert bench.loop.missed == 1021
 
 

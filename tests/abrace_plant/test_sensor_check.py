@@ -39,7 +39,7 @@ def test_nothing_is_wrong_with_a_rig_at_rest_and_it_says_what_cannot_be_judged(a
     found = check_sensors(RIG, at_rest)
     assert found.well
     assert not found.judged
-    assert "not judged, the rig hardly moved" in found.text()
+    assert "not checked, the rig hardly moved" in found.text()
     for channel, sensor in zip(found.channels, RIG.channel_sensors, strict=True):
         assert channel.noise == pytest.approx(sensor.noise, rel=0.05)
         assert abs(channel.mean) < 0.1 * sensor.noise
@@ -107,8 +107,8 @@ def test_a_wrong_gain_is_named(shaken, factor):
     ("change", "said"),
     [
         (lambda force: -force, "wrong sign: fb against fa"),
-        (lambda force: 1.25 * force, "gain: 1.25 times what fa says"),
-        (lambda force: force[::-1], "apart: does not move as fa, of the same brace group"),
+        (lambda force: 1.25 * force, "gain: 1.25 times that of fa"),
+        (lambda force: force[::-1], "apart: does not follow fa of the same brace group"),
     ],
 )
 def test_a_load_cell_is_compared_with_the_other_of_its_group(shaken, change, said):

@@ -67,15 +67,18 @@ def test_the_default_white_noise_is_played_by_every_table_of_the_folder(rig):
 def test_what_is_beyond_each_limit_is_named_with_value_time_limit_and_what_to_do():
     record = prepare(read_record("el_centro"), 500.0, Treatment(peak_acceleration=30.0))
     told = refusal(record)
-    assert told.startswith("ground motion any is more than the table has: acceleration 30 m/s^2 at 2.17")
-    assert "the table has 10, expected a smaller peak_acceleration; velocity 3.3" in told
+    assert told.startswith("ground motion any exceeds the table's limits: acceleration 30 m/s^2 at 2.17")
+    assert "the table's limit is 10, expected a smaller peak_acceleration; velocity 3.3" in told
     assert "displacement 0.94" in told
-    assert " m at 5.140 s, the table has 0.25, expected a low_cut" in told
-    share = float(told.rpartition("; ")[2].partition(" times it would fit")[0])
+    assert " m at 5.140 s, the table's limit is 0.25, expected a low_cut" in told
+    share = float(told.rpartition("; scaled by ")[2].partition(" it would fit")[0])
     assert refusal(share * record) == ""
     assert refusal(1.01 * share * record)
     step = np.concatenate([np.full(10, 4.5), np.full(10, -4.5), [0.0]])
-    assert "jerk 4500 m/s^3 at 0.018 s, the table has 2000, expected a smaller peak_acceleration, or a" in refusal(step)
+    assert (
+        "jerk 4500 m/s^3 at 0.018 s, the table's limit is 2000, expected a smaller peak_acceleration, or a"
+        in refusal(step)
+    )
     pulse = 0.5 * np.sin(np.linspace(0, np.pi, 100))
     assert "velocity at the end 0.06" in refusal(pulse)
 

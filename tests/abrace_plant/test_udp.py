@@ -136,7 +136,7 @@ def test_no_sample_is_an_error_that_says_what_came_instead(tmp_path):
         with pytest.raises(DeviceError) as nothing:
             target.device.exchange([0.0], 0.0)
         assert str(nothing.value) == (
-            f"udp device 127.0.0.1:{port}: no sample for 50 ms; nothing came from 127.0.0.1:{port} to port {local}"
+            f"udp device 127.0.0.1:{port}: no sample for 50 ms; nothing arrived from 127.0.0.1:{port} to port {local}"
         )
         target.send(b"wrong", b"wrong too", target.sample(1)[:-1] + b"\0")
         with pytest.raises(DeviceError) as wrong:
@@ -178,7 +178,7 @@ def test_a_target_that_takes_no_commands_is_an_error(tmp_path):
 def test_a_target_that_is_not_there_is_an_error_of_open(tmp_path, monkeypatch):
     monkeypatch.setattr("abrace_plant.devices.udp.OPEN_TIME", 0.1)
     device = load(device_file(tmp_path), RIG)
-    with pytest.raises(DeviceError, match=r"no good samples within 0.1 s; nothing came from 127.0.0.1"):
+    with pytest.raises(DeviceError, match=r"no valid samples within 0.1 s; nothing arrived from 127.0.0.1"):
         device.open()
 
 
@@ -281,7 +281,9 @@ def test_a_time_too_coarse_to_tell_ticks_apart_is_refused(tmp_path):
     layout = tmp_path / "coarse.yaml"
     layout.write_text(LAYOUT.read_text().replace("unit: ns}", "unit: ms}", 1))
     path = device_file(tmp_path, layout=layout)
-    with pytest.raises(AbraceError, match=f"layout file {layout}: time in steps of 1 ms, expected a unit that tells"):
+    with pytest.raises(
+        AbraceError, match=f"layout file {layout}: time in steps of 1 ms, expected a unit that distinguishes"
+    ):
         load(path, RIG)
 
 

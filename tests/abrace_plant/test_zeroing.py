@@ -40,7 +40,7 @@ def test_it_is_refused_once_something_acts():
     found.take(READINGS[1], [0.0, 0.25])
     assert found.over.is_set(), "nothing more is waited for"
     found.take(READINGS[2], [0.0, 0.0])
-    with pytest.raises(AbraceError, match=r"^zeroing: something acts \(0, 0\.25\)$"):
+    with pytest.raises(AbraceError, match=r"^zeroing: a command acts \(0, 0\.25\)$"):
         found.result()
 
 
@@ -48,7 +48,7 @@ def test_it_is_refused_without_all_of_the_samples():
     found = zeroing()
     for reading in READINGS[:-1]:
         found.take(reading, [0.0, 0.0])
-    with pytest.raises(AbraceError, match=r"^zeroing: 499 samples of 500 came$"):
+    with pytest.raises(AbraceError, match=r"^zeroing: only 499 of 500 samples arrived$"):
         found.result()
 
 

@@ -151,7 +151,7 @@ def test_a_test_of_a_rig_is_used_by_its_accelerations_and_refused_with_a_command
     assert not warnings
     for frequency, _ in [pair for pair in map(tuple, _pairs(rig)) if pair[0] < 60][:3]:
         assert any(abs(mode.frequency / frequency - 1) < 0.01 for mode in found.modes)
-    with pytest.raises(AbraceError, match=r"U up to \d+\.?\d* N, expected 0: an ambient test has no drive"):
+    with pytest.raises(AbraceError, match=r"U up to \d+\.?\d* N, expected 0: an ambient test is without commands"):
         ambient_test([command_test], (), (0.5, 12.0), 40)
     other = replace(table_test, source="other", sample_period=0.004)
     with pytest.raises(AbraceError, match="other: another rig or sample period than"):

@@ -23,7 +23,7 @@ def colours(axis):
 def test_transfer_functions_show_measured_and_fitted_with_units(identified):
     figure = figures.transfer_functions(identified.command_response, ["x3", "a1"], identified.model)
     amplitude, phase = figure.axes[0], figure.axes[2]
-    expected = {"measured": MEASURED, "fitted": SIMULATED, "fitted less measured, rms": ERROR}
+    expected = {"measured": MEASURED, "fitted": SIMULATED, "fitted minus measured, rms": ERROR}
     assert colours(amplitude) == expected | {"measured, noise": FAINT, "standard deviation": REFERENCE}
     assert colours(figure.axes[1]) == expected | {"standard deviation": REFERENCE}, "the acceleration is no noise"
     assert amplitude.get_ylabel() == "amplitude [m / N]"
@@ -53,7 +53,7 @@ def test_time_histories_have_their_error_below_and_are_in_the_units_asked_for(co
     figure = time_histories(comparison, zoom=(5, 8), tested="el_centro at 0.1 g, lqg3")
     whole, zoomed, error = figure.axes[:3]
     assert colours(whole) == {"measured": MEASURED, "simulated": SIMULATED}
-    assert colours(error) == {"simulated less measured": ERROR}
+    assert colours(error) == {"simulated minus measured": ERROR}
     left_over = whole.lines[1].get_ydata() - whole.lines[0].get_ydata()
     assert error.lines[0].get_ydata() == pytest.approx(left_over)
     assert whole.get_ylabel().endswith("[cm]")
@@ -96,7 +96,7 @@ def test_pole_chart_shows_how_far_each_pair_is_from_the_rigs_own(identified, rig
     assert shown["table"].get_xdata()[0] == pytest.approx(factor * (first.frequency / own[0] - 1))
     heights = [tuple(line.get_ydata()) for line in shown.values()]
     assert len(set(heights)) == 3, "no mark lies on another"
-    assert [axis.get_xlabel().partition(" less")[0] for axis in (frequency, damping)] == ["frequency", "damping ratio"]
+    assert [axis.get_xlabel().partition(" minus")[0] for axis in (frequency, damping)] == ["frequency", "damping ratio"]
 
 
 def test_intervals_of_each_pair_are_drawn_about_those_of_both_tests(identified):

@@ -117,7 +117,7 @@ def test_a_motion_that_is_more_than_the_table_has_is_refused_and_nothing_moves(p
     ended = player.result(player.send(record="el_centro", peak_acceleration=30.0))
     assert ended.status == GoalStatus.STATUS_ABORTED
     assert not ended.result.success
-    assert "acceleration 30 m/s^2 at 2.178 s, the table has 10" in ended.result.message
+    assert "acceleration 30 m/s^2 at 2.178 s, the table's limit is 10" in ended.result.message
     assert "\n" not in ended.result.message
     assert np.abs(player.ground).max() < 0.01
 

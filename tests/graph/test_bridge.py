@@ -122,7 +122,7 @@ def test_hardware_that_is_not_there_refuses_the_activation_and_is_taken_at_1_khz
     assert ending.returncode == 2
     (line,) = errors.splitlines()
     assert line.startswith("sensor_bridge: udp device 127.0.0.1:")
-    assert "no good samples within 2 s; nothing came from" in line
+    assert "no valid samples within 2 s; nothing arrived from" in line
 
 
 def test_hardware_is_zeroed_at_rest_alone_and_a_target_that_freezes_is_a_latched_fault(rig, emulate, tmp_path):
@@ -172,7 +172,7 @@ def test_hardware_is_zeroed_at_rest_alone_and_a_target_that_freezes_is_a_latched
 
     stops = emulator.report()["stops"]
     emulator.ask("freeze=0.3")
-    rig.until_fault("sensor_bridge", "no sample for 20 ms; nothing came from")
+    rig.until_fault("sensor_bridge", "no sample for 20 ms; nothing arrived from")
     rig.until_fault("excitation", "no response for")
     rig.until(lambda: rig.responses[-1].state == Response.LATCHED, "all to be at rest")
     report = emulator.report()

@@ -186,7 +186,7 @@ def test_modes_of_the_frame_without_braces_and_without_a_drive_are_in_the_report
     process = start(tmp_path, environment, "campaign", str(path))
     output, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors
-    assert "Modes without a drive: modes, 100 s of a1, a2, a3" in output
+    assert "Modes from ambient vibration: modes, 100 s of a1, a2, a3" in output
     assert "No change beyond chance." in output
     found = json.loads((tmp_path / "results/short/summary.json").read_text())["ambient"]["modes"]
     for bare in (6.673, 21.783, 37.506):
@@ -296,7 +296,7 @@ def test_a_wrong_campaign_ends_with_every_mistake_and_without_a_node(tmp_path, e
     assert process.returncode == 2
     for message in (
         "nowhere.at2",
-        "test.ground_motion: ground motion el_centro is more than the table has: acceleration 30 m/s^2 at 2.178 s",
+        "test.ground_motion: ground motion el_centro exceeds the table's limits: acceleration 30 m/s^2 at 2.178 s",
         "nowhere.yaml: No such file",
     ):
         assert message in errors

@@ -35,7 +35,7 @@ def test_the_hardware_is_read_at_rest_and_the_channel_that_fails_is_named(hardwa
     assert (ended.returncode, ended.stderr) == (1, "")
     (noisy,) = (line for line in ended.stdout.splitlines() if "noisy: " in line)
     assert noisy.startswith("a3 ")
-    assert "not judged, the rig hardly moved" in ended.stdout
+    assert "not checked, the rig hardly moved" in ended.stdout
     channels = json.loads((tmp_path / "check.json").read_text())["channels"]
     assert [channel["name"] for channel in channels if channel["faults"]] == ["a3"]
 

@@ -181,12 +181,12 @@ def expect_refusal(ended: subprocess.CompletedProcess, *expected: str) -> None:
         (
             "ground_motion",
             ["-p", "record:=el_centro", "-p", "peak_acceleration:=30.0"],
-            ["more than the table has: acceleration 30 m/s^2 at 2.178 s, the table has 10", "displacement 0.94"],
+            ["exceeds the table's limits: acceleration 30 m/s^2 at 2.178 s", "limit is 10", "displacement 0.94"],
         ),
         (
             "ground_motion",
             ["-p", "record:=white_noise", "-p", "duration:=240.0", "-p", "band:=[0.0, 10.0]"],
-            ["ground motion white_noise is more than the table has: displacement", "a band that begins higher"],
+            ["ground motion white_noise exceeds the table's limits: displacement", "a band that begins higher"],
         ),
         ("ground_motion", ["-p", "rig:=none"], ["rig 'none': unknown", "ncree_three_storey"]),
         ("logger", [], ["parameter output: not given", "-p output:=text", "new directory"]),

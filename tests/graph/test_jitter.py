@@ -34,4 +34,4 @@ def test_a_rig_is_measured_beside_a_timer_and_an_echo(graph, tmp_path):
 def test_without_a_rig_it_says_so(graph):
     ended = measure(graph, "patience:=0.2")
     assert ended.returncode == 2
-    assert ended.stderr == (f"jitter: no sample on {graph.namespace}/response within 0.2 s, expected a rig that runs\n")
+    assert ended.stderr == (f"jitter: no sample on {graph.namespace}/response within 0.2 s, expected a running rig\n")

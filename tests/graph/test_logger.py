@@ -265,7 +265,7 @@ def test_a_topic_is_tried_again_when_its_publishers_change_and_reported_once(gra
         graph.until(lambda: logger.discover() or logger.topics, "the topic, of one type now")
     finally:
         strangers.try_shutdown()
-    with pytest.raises(AbraceError, match=r"1 topics not recorded as asked: .*/odd"):
+    with pytest.raises(AbraceError, match=r"1 topics not recorded as requested: .*/odd"):
         logger.close()
     assert tried == [2, 1]
     assert capfd.readouterr().err.count("/odd: has the types std_msgs/msg/Bool, std_msgs/msg/String") == 1

@@ -109,7 +109,7 @@ MISTAKES = [
     (f"{PLANT} -p duration:=.nan", "parameter duration: nan, expected a number, at least 0.0"),
     (f"{PLANT} -p duration:=[1.0,2.0]", r"parameter duration: \[1.0, 2.0\], expected a number, at least 0.0"),
     (f"{PLANT} -p duration=10", "argument -p duration=10: expected name:=value, as duration:=10"),
-    (f"{PLANT} -p duration:=", "argument -p duration:=: nothing behind :=, expected a value; an empty text is ''"),
+    (f"{PLANT} -p duration:=", "argument -p duration:=: nothing after :=, expected a value; an empty text is ''"),
     (
         f"{PLANT} duration:=10.0",
         "argument duration:=10.0: unknown .*, expected -p name:=value .*, did you leave out -p?",
@@ -133,7 +133,7 @@ MISTAKES = [
     # rig and campaign files
     (f"{EMULATE} tab.yaml", "rig file tab.yaml: line 9: not YAML: a tab, expected spaces"),
     (f"{EMULATE} indent.yaml", "rig file indent.yaml: line 9: not YAML: .*indented.*, expected .*"),
-    (f"{EMULATE} twice.yaml", "rig file twice.yaml: line 5: key 'name' stands twice, expected once"),
+    (f"{EMULATE} twice.yaml", "rig file twice.yaml: line 5: key 'name' appears twice, expected once"),
     (
         f"{EMULATE} unknown.yaml",
         "rig file unknown.yaml: .*massses: unknown key, did you mean masses?; sampel_rate: unknown key, did you .*",
@@ -147,7 +147,7 @@ MISTAKES = [
     (f"{EMULATE} empty.yaml", "rig file empty.yaml: empty, expected keys and values"),
     ("abrace campaign quotes.yaml", ".*: step a: test.duration: '2.0', expected a number without quotation marks"),
     ("abrace campaign signal.yaml", ".*excitation: 'whitenoise', expected one of .*, did you mean white_noise?"),
-    ("abrace campaign scale.yaml", ".*: step a: .*el_centro is more than the table has: .*, expected a smaller .*"),
+    ("abrace campaign scale.yaml", ".*: step a: .*el_centro exceeds the table's limits: .*, expected a smaller .*"),
     # records, bags, models
     (f"{SHAKE} record:=empty.csv", "ground motion empty.csv: empty, expected a ground acceleration"),
     (f"{SHAKE} record:=semicolons.csv", "ground motion semicolons.csv, line 1: .*: semicolons, expected commas .*"),

@@ -220,7 +220,12 @@ def test_a_bag_with_lost_samples_is_used_from_the_gap_on_and_refused_where_the_t
             {"record": "multisine", "duration": "80.0", "band": "[0.0, 10.0]"},
             "frequency above 0",
         ),
-        ("abrace_sysid", "ambient", {"bag": "{command}", "output": "o"}, "expected 0: an ambient test has no drive"),
+        (
+            "abrace_sysid",
+            "ambient",
+            {"bag": "{command}", "output": "o"},
+            "expected 0: an ambient test is without commands",
+        ),
         ("abrace_sysid", "validate", {"bag": "{check}", "model": "no.json", "output": "o"}, "model file no.json"),
         ("abrace_lqg", "design", {"model": "no.json", "output": "o.yaml"}, "model file no.json"),
         ("abrace_lqg", "design", {"model": "bad.json", "output": "o.yaml"}, "not JSON"),

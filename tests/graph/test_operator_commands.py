@@ -84,6 +84,6 @@ def test_what_ros_cannot_take_is_one_line(monkeypatch):
 def test_where_nobody_listens_a_stop_says_so_and_the_domain_is_asked_for():
     code, output, errors = abrace("stop")
     assert (code, output) == (1, "")
-    assert errors == "no rig has said that it stops; press the stop button of the hardware\n"
+    assert errors == "no rig has reported that it stops; press the stop button of the hardware\n"
     code, output, _ = abrace("status")
     assert (code, output) == (0, "no node reports; is ROS_DOMAIN_ID that of the rig?\n")

@@ -117,7 +117,7 @@ def test_it_is_not_cleared_on_the_way_to_rest(bench):
     bench.hand.hold(PUSH, 100)
     answer = bench.graph.clear_fault("plant")
     assert not answer.success
-    assert answer.message.startswith("still on the way to rest (command ")
+    assert answer.message.startswith("still ramping down (command ")
     bench.expect_smooth_end(first + 1)
 
 

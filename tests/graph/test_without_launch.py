@@ -47,7 +47,7 @@ def test_a_node_that_refuses_ends_the_test_and_the_terminal_says_why(launch):
     ended = launch("identification", drive="command", parameters="wrong.yaml", bag="bag")
     assert ended.returncode == 1
     assert "[logger] logger: parameter split_size: -1, expected a whole number" in ended.stdout
-    assert ended.stderr == "identification: logger has ended with exit code 2, the test is not whole\n"
+    assert ended.stderr == "identification: logger has ended with exit code 2, the test is incomplete\n"
 
 
 def test_wrong_arguments_are_named_and_nothing_is_started(launch):
@@ -57,4 +57,4 @@ def test_wrong_arguments_are_named_and_nothing_is_started(launch):
     assert first == "closed_loop: wrong launch arguments, nothing was started"
     assert [line.partition(":")[0] for line in lines] == ["controler", "controller", "duration"]
     ended = launch("identification", drive="table", bag="bag", robot_state_publisher="true")
-    assert ended.stderr.endswith("expected false: that node takes `ros2 launch`\n")
+    assert ended.stderr.endswith("expected false: that node needs `ros2 launch`\n")

@@ -23,7 +23,7 @@ class Skyhook:
         self.damping, self.corner, self.floors = damping, corner, np.array(floors) - 1
 
     def begin(self, floors: int, groups: int, sample_period: float) -> None:
-        """Begin anew, from rest."""
+        """Start from rest."""
         if len(self.floors) != groups or self.floors.max() >= floors or self.floors.min() < 0:
             raise ValueError(f"floors {(self.floors + 1).tolist()}, expected {groups} out of 1 to {floors}")
         self.period, self.velocity = sample_period, np.zeros(groups)

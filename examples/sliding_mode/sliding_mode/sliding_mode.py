@@ -45,7 +45,7 @@ class SlidingMode:
         self.greatest, self.boundary, self.weights, self.corner = force, boundary, np.array(weights), corner
 
     def begin(self, floors: int, groups: int, sample_period: float) -> None:
-        """Begin anew, from rest."""
+        """Start from rest."""
         if self.weights.size != floors * groups:
             raise ValueError(f"weights {self.weights.tolist()}, expected {groups} times {floors}, one for each floor")
         self.surface = self.weights.reshape(groups, floors)

@@ -52,7 +52,7 @@ _MODULES = {
     "abrace_plant.records.record": ("Record",),
     "abrace_plant.rig.model": ("Rig",),
 }
-"""Where names are defined: the `abrace` command, which needs none of them, starts without these imports."""
+"""Modules of the public names, imported at first use, so that the `abrace` command starts without these imports."""
 
 __all__ = [
     "AbraceError",

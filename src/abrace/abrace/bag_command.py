@@ -39,7 +39,7 @@ def add_bag_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
             "physical quantities of topics over time, as a PNG or SVG file",
             " response --start-offset 5 --duration 10 --output first.png",
         ),
-        "animate": ("the building in motion, alone or beside another test, as a GIF file", " --output first.gif"),
+        "animate": ("the building in motion, alone or next to another test, as a GIF file", " --output first.gif"),
     }
     for name, (text, further) in helps.items():
         action = actions.add_parser(name, help=text, example=f"abrace bag {name} bags/first{further}")
@@ -48,10 +48,10 @@ def add_bag_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
             action.add_argument("topics", metavar="topic", nargs=1, help="name, or the end of one: response")
         elif name == "animate":
             action.add_argument(
-                "--against", type=Path, metavar="BAG", help="another test of it, to be drawn on the left"
+                "--against", type=Path, metavar="BAG", help="another test of the same building, drawn on the left"
             )
             action.add_argument(
-                "--exaggeration", type=float, default=0.0, metavar="N", help="times the displacements; 0: as fits"
+                "--exaggeration", type=float, default=0.0, metavar="N", help="factor of displacements; 0: chosen to fit"
             )
         elif name != "info":
             several = "+" if name == "plot" else "*"
@@ -175,7 +175,7 @@ def bag_information(bag: Path, check: bool) -> str:
     header = ("topic", "type", "messages", "rate [1/s]", "first", "gaps", "missing", "lost")
     lines.append(Table("Topics", header, rows).text())
     lines += [
-        f"{topic.name} begins at sample {topic.first}: what was before is not in the bag"
+        f"{topic.name} begins at sample {topic.first}: earlier samples are not in the bag"
         for topic in found.topics
         if topic.first
     ]

@@ -59,12 +59,12 @@ def parser() -> OneLineParser:
     campaign = commands.add_parser(
         "campaign", help="run the steps of a campaign file, then report", example="abrace campaign my_day.yaml"
     )
-    file = campaign.add_argument("file", help="YAML file, or the name of one of ours: demo, five_controllers")
+    file = campaign.add_argument("file", help="YAML file, or the name of an installed one: demo, five_controllers")
     _completed(file, completion.campaigns)
     _add_watch(campaign)
     one_of = campaign.add_mutually_exclusive_group()
-    one_of.add_argument("--from", dest="start", metavar="STEP", help="run this step and those after it anew")
-    one_of.add_argument("--check", action="store_true", help="only check the file, and say what it will do")
+    one_of.add_argument("--from", dest="start", metavar="STEP", help="run this step and those after it again")
+    one_of.add_argument("--check", action="store_true", help="only check the file, and print what it would do")
     add_report_parser(commands)
     add_bag_parser(commands)
     add_benchmark_parser(commands, lambda action: _completed(action, completion.benchmarks))

@@ -1,4 +1,4 @@
-"""`abrace report`: the report of a campaign, or two campaigns side by side."""
+"""`abrace report`: the report of a campaign, or a comparison of two campaigns."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from abrace_core.command_line import OneLineParser
 
 EXAMPLES = """examples:
-  abrace report results/demo                              report.html, report.md, summary.json and figures, made anew
+  abrace report results/demo                              report.html, report.md, summary.json and figures, made again
   abrace report results/demo --units SI                   in mm, m/s² and kN
-  abrace report results/tuesday --against results/monday  two campaigns side by side: against_monday.html"""
+  abrace report results/tuesday --against results/monday  two campaigns compared: against_monday.html"""
 
 
 def add_report_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
@@ -25,11 +25,11 @@ def add_report_parser(commands: argparse._SubParsersAction[OneLineParser]) -> No
     )
     report.add_argument("directory", type=Path, help="such as results/demo")
     report.add_argument(
-        "--units", choices=("paper", "SI"), help="cm, g and kgf, or mm, m/s² and kN; else the paper's for its rig alone"
+        "--units",
+        choices=("paper", "SI"),
+        help="paper: cm, g, kgf; SI: mm, m/s², kN; default: paper for the paper's rig, otherwise SI",
     )
-    report.add_argument(
-        "--against", type=Path, metavar="OTHER", help="results of another campaign, to be set beside these"
-    )
+    report.add_argument("--against", type=Path, metavar="OTHER", help="results of another campaign, to compare with")
 
 
 def report_command(given: argparse.Namespace) -> None:

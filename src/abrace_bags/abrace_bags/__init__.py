@@ -1,8 +1,8 @@
-"""Bags: MCAP files in rosbag2's layout, the record of what happened.
+"""Bags: MCAP files in rosbag2's layout, the record of a test.
 
 A bag is a directory that `ros2 bag`, `mcap` and `rosbags` read, with the run's facts in it. It is written message by
 message (`BagWriter`), and read back whole topics at a time as arrays (`read_topics`) or as a test of the rig
-(`read_run`), also when the process that wrote it was killed; `recover` writes such a bag anew, whole.
+(`read_run`), also when the process that wrote it was killed; `recover` makes a complete bag of such a one.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The files of a bag: which they are, and what is in them besides messages."""
+"""The files of a bag, and their content other than messages."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def in_brackets(warnings: Sequence[str]) -> str:
 def missing_messages(topic: str, numbers: NumberRanges | None) -> str:
     """How many messages of a `topic` are missing by their `numbers`, for a warning where the bag's count is lost."""
     if numbers is None or not numbers.ranges:
-        return f"topic {topic}: how many messages are missing is not known"
+        return f"topic {topic}: the number of missing messages is unknown"
     span = f"{numbers.ranges[0][0]} to {numbers.ranges[-1][1]}"
     return f"topic {topic}: {numbers.missing} of the samples {span} are missing, later ones are not known"
 
@@ -218,8 +218,8 @@ def _information(bag: Path) -> dict[str, Any]:
 def _named_files(bag: Path) -> tuple[list[Path], list[str]]:
     """The MCAP files of a bag, and what is wrong with it.
 
-    They are those that metadata.yaml names. Without that, as when the logger was killed, those that are called as the
-    bag is and numbered, or if there are none, all: a copy of a file beside it would double its messages.
+    These are the files that metadata.yaml names. Without it, as when the logger was killed, they are those with the
+    bag's name and a number, or if there are none, all files: the copy of a file would double its messages.
     """
     if not bag.is_dir():
         return [bag], []

@@ -89,7 +89,7 @@ def write_mat(path: Path | str, topics: Mapping[str, TopicArrays], facts: Mappin
         The file.
     topics
         By name. Each becomes a struct of that name, its fields (messages, ...) arrays and `log_time`, `publish_time`;
-        what can't stand in a MATLAB name is an underscore.
+        characters that a MATLAB name cannot have become underscores.
     facts
         Become the struct `facts`.
 

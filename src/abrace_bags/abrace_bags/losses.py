@@ -1,4 +1,4 @@
-"""What a bag says of each topic at its end: messages, gaps in `sequence`, losses."""
+"""The counts that a bag has of each topic at its end: messages, gaps in `sequence`, losses."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class FileSpan:
 def bag_information(
     topics: Mapping[int, Mapping[str, Any]], files: Sequence[FileSpan], facts: Mapping[str, str]
 ) -> dict[str, Any]:
-    """A bag's description in the words of rosbag2's metadata.yaml.
+    """A bag's description with the keys of rosbag2's metadata.yaml.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def bag_information(
     files
         All files of the bag, or the one that is to be described by itself.
     facts
-        What is to be known of the run.
+        Facts of the run.
     """
     start, duration = _span(files)
     return {

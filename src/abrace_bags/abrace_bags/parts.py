@@ -63,7 +63,7 @@ class TopicParts:
         self._type_name = channels[0].type_name
         self.warnings = self._found.opened.warnings
         if self._found.set_back:
-            self.warnings.append(f"{self._name}: the clock was set back while it was recorded")
+            self.warnings.append(f"{self._name}: the clock was set back during the recording")
 
     def __iter__(self) -> Iterator[TopicArrays]:
         messages = self._found.messages()

@@ -1,6 +1,6 @@
-"""A bag's messages played: which is next and when it is due, by the clock or sample by sample as each is answered.
+"""Playback of a bag's messages: which is next, and when it is due by the clock or, in lockstep, after an answer.
 
-Played in lockstep, a controller sees the samples of an earlier run, and its answers are that run's again, to the last
+In lockstep a controller receives the samples of an earlier run, and reproduces that run's commands to the last
 bit: the law of Eq. (13) has no other input.
 """
 
@@ -38,7 +38,7 @@ _CLOCK_END = 2**31 * 10**9
 def bag_to_replay(bag: str, topics: Collection[str], start_offset: float, duration: float) -> RawBag:
     """The messages of a `bag` to replay, as `read_raw` has them.
 
-    Without `topics` the inputs of a rig are left out, with a warning: nobody moves a rig by not naming topics. So are
+    Without `topics` the inputs of a rig are left out, with a warning, so that a rig is not moved by accident. So are
     hidden topics, those of actions and services.
 
     Raises
@@ -60,7 +60,7 @@ def bag_to_replay(bag: str, topics: Collection[str], start_offset: float, durati
         return name in inputs or name in hidden
 
     found = read_raw(bag, topics, start_offset, duration, refuses)
-    for left_out, why in ((inputs, "a rig obeys them"), (hidden, "they are hidden")):
+    for left_out, why in ((inputs, "they command a rig"), (hidden, "they are hidden")):
         if left_out:
             warning = f"{', '.join(sorted(left_out))} left out: {why} (parameter topics replays them by name)"
             found = replace(found, warnings=(*found.warnings, warning))

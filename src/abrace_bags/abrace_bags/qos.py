@@ -1,6 +1,6 @@
 """The QoS that publishers of a topic offer: of live ones, in a bag, and of the one that replays them.
 
-`rosbags.interfaces.Qos` holds a profile. Bags have it as YAML, in words, and in numbers up to ROS 2 Iron.
+`rosbags.interfaces.Qos` holds a profile. Bags store it as YAML, by names, up to ROS 2 Iron by numbers.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def offered_qos(profile: Any) -> Qos:
 
 
 def in_words(qos: Qos) -> dict[str, Any]:
-    """The profile `qos` in rosbag2's words, plain for YAML."""
+    """The profile `qos` with rosbag2's names, as plain values for YAML."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, Enum):
@@ -107,7 +107,7 @@ def _value(default: Any, value: Any) -> Any:
 
 
 def combined_qos(offers: Sequence[Qos]) -> Qos:
-    """What one publisher has to offer to serve the subscribers of several; `UNKNOWN_QOS` for none.
+    """The QoS with which one publisher serves the subscribers of several; `UNKNOWN_QOS` for none.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A bag's messages as they came from the wire, in the order in which they were logged: what `replay` publishes."""
+"""A bag's serialised messages in the order of their log times, as `replay` publishes them."""
 
 from __future__ import annotations
 
@@ -97,8 +97,8 @@ def read_raw(
     Raises
     ------
     AbraceError
-        If there is no such bag, it isn't one, it has no message in that part, or a topic asked for is not in it or
-        stands for several.
+        If there is no such bag, it isn't one, it has no message in that part, or a name of `topics` is not in it or
+        matches several.
     """
     path = Path(bag)
 
@@ -132,7 +132,7 @@ def read_raw(
 def _raw_bag(bag: Path, recorded: dict[str, RecordedTopic], found: Survey, counts: dict[str, int]) -> RawBag:
     warnings = found.opened.warnings
     if found.set_back:
-        warnings.append(f"{bag}: the clock was set back while it was recorded: messages come as they were written")
+        warnings.append(f"{bag}: the clock was set back during the recording: messages come in the order of the file")
 
         def read() -> Iterator[RawMessage]:
             return continuous(found.messages())
@@ -174,14 +174,14 @@ def choose_topics(bag: Path | str, names: Iterable[str], asked: Collection[str])
     Raises
     ------
     AbraceError
-        If a name is not among them or stands for several.
+        If a name is not among them or matches several.
     """
     names = sorted(set(names))
     chosen = set(names if not asked else ())
     for one in asked:
         matching = [one] if one in names else [name for name in names if _is_end_of(one, name)]
         if len(matching) > 1:
-            raise AbraceError(f"{bag}: topic {one} stands for {', '.join(matching)}, name one of them")
+            raise AbraceError(f"{bag}: topic {one} matches {', '.join(matching)}, name one of them")
         if not matching:
             raise AbraceError(f"{bag}: no topic {one} in it, it has {', '.join(names) or 'none'}")
         chosen.update(matching)

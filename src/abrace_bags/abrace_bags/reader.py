@@ -281,7 +281,7 @@ def _order(log_time: NDArray[np.int64], sequence: NDArray[Any] | None) -> tuple[
     if sequence is None:
         return order, []
     if order is not None and clock_was_set_back(log_time, sequence):
-        return None, ["the clock was set back while it was recorded: messages are in the order of their recording"]
+        return None, ["the clock was set back during the recording: messages are in the order of their recording"]
     numbers = sequence if order is None else sequence[order]
     if are_interleaved(numbers):
         by_number = np.argsort(sequence, kind="stable")

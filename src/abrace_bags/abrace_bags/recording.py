@@ -46,11 +46,11 @@ _STEP = 0
 
 
 class Recording:
-    """A bag that a thread writes: a slow disk, a sync or a large chunk does not delay who receives the messages.
+    """A bag that a thread writes: a slow disk, a sync or a large chunk does not delay the receiving thread.
 
-    One thread calls the methods. None but `close` waits for the disk: what they ask for is done in its turn. Messages
-    that come while `capacity` is reached are lost and counted. With a snapshot the messages of the last seconds stay in
-    memory, and are written on request.
+    One thread calls the methods. Only `close` waits for the disk: the other requests are queued. Messages that arrive
+    while `capacity` is reached are lost and counted. With a snapshot the messages of the last seconds stay in memory,
+    and are written on request.
 
     Whatever fails in the writing thread ends the recording: the bag is closed with what was written, `check` raises.
 
@@ -61,7 +61,7 @@ class Recording:
     flush_interval
         Seconds between flushes: what is lost when the process is killed.
     sync_interval
-        Seconds between syncs: what is lost, besides a flush interval, in a power loss.
+        Seconds between syncs: what is lost in a power loss, in addition to a flush interval.
     snapshot
         Seconds that a message stays in memory; 0: each is written at once.
     capacity
@@ -101,7 +101,7 @@ class Recording:
         # of a snapshot: the last seconds, and older messages of each transient local topic
         self._recent: deque[Message] = deque()
         self._transient_local: dict[int, deque[Message]] = {}
-        # two counts, as one that both threads change would need a lock for each message
+        # two counts: a single one that both threads change would need a lock for each message
         self._bytes_in = 0
         self._bytes_out = 0
         self._wake = threading.Event()

@@ -1,4 +1,4 @@
-"""A whole bag out of one that was cut off or damaged: everything in it that can be read, as it came from the wire."""
+"""Recovery of a bag that was cut off or damaged: everything in it that can be read is written to a new bag."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Recovered:
 
 
 def recover(bag: Path | str, output: Path | str) -> Recovered:
-    """Write a whole bag of everything that can be read of another.
+    """Write everything that can be read of a bag to a new one.
 
     Messages, their times, types and QoS, the run's facts, the other metadata and the attachments are kept as they are;
     messages are written in the order in which they were recorded. No more than some chunks are in memory.
@@ -103,7 +103,7 @@ def _new_bag(output: Path) -> Iterator[Path]:
 
 
 def _unusable(channel: RecordedChannel, types: dict[str, tuple[str, str]]) -> str:
-    """Why our bags can't hold a channel's messages, each topic being of one type; empty if they can."""
+    """Why abrace's bags, with one type a topic, can't hold a channel's messages; empty if they can."""
     encodings = channel.message_encoding, channel.schema_encoding
     if encodings != ("cdr", "ros2msg"):
         return f"is written as {encodings[0]!r} described by {encodings[1]!r}, expected 'cdr' by 'ros2msg'"

@@ -177,7 +177,7 @@ def _sample_period(response: TopicArrays, facts: dict[str, Any]) -> float:
     times = (stamps[middle] - stamps[0]) * 1e-9
     numbers, times = numbers - numbers[:1], times - times[:1]
     if numbers.size < 2 or times[-1] <= 0.0 or numbers[-1] <= 0:
-        raise AbraceError("its stamps don't count up and the facts have no sample_period")
+        raise AbraceError("its stamps do not increase and the facts have no sample_period")
     period = float(times[-1] / numbers[-1])
     jitter = float(np.abs(times - numbers * period).max() / times[-1])
     rate = round(1 / period)

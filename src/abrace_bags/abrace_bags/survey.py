@@ -1,6 +1,6 @@
-"""A bag gone through once, chunk by chunk: what each topic has, and where its messages are.
+"""A pass through a bag, chunk by chunk: the content of each topic, and where its messages are.
 
-Everything that handles messages of bags of any length stands on this: description, recovery, replay, export.
+Description, recovery, replay and export of bags of any length are based on this.
 """
 
 from __future__ import annotations
@@ -31,13 +31,14 @@ if TYPE_CHECKING:
     from abrace_bags.other_storage import OtherStorage
 
 _OUT_OF_TURN = 100_000_000
-"""By how much the times of several publishers' messages may step back [ns]; more is a clock that was set back."""
+"""How far the times of several publishers' messages may step back [ns]; a larger step means a clock that was set
+back."""
 _LENGTH_OFFSET, _FRAME_OFFSET = MESSAGE_HEAD_SIZE + 12, MESSAGE_HEAD_SIZE + 16
-"""Where in a message record the length of the header's frame_id stands, and its text."""
+"""Offsets in a message record of the length of the header's frame_id, and of its text."""
 
 
 class RawMessage(NamedTuple):
-    """A message: topic, bytes as they came from the wire, and when it was logged and published [ns]."""
+    """A message: topic, serialised bytes, and when it was logged and published [ns]."""
 
     topic: str
     payload: bytes
@@ -47,7 +48,7 @@ class RawMessage(NamedTuple):
 
 @dataclass
 class TopicSurvey:
-    """What a bag has of one topic.
+    """The content of one topic in a bag.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ class TopicSurvey:
 
 @dataclass
 class Survey:
-    """What a bag has of the messages that a filter accepts.
+    """The messages of a bag that a filter accepts.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ class TopicChoice:
     pattern
         Regular expression that is searched for in each name; empty: none.
     everything
-        Whether to record all topics but hidden ones, of which a part begins with an underscore.
+        Whether to record all topics except hidden ones, of which a part begins with an underscore.
 
     Raises
     ------

@@ -321,7 +321,7 @@ class BagWriter:
             self._file.finish(self._span)
 
     def _write_information(self, span: FileSpan) -> None:
-        """Write into the file the metadata.yaml of this file alone: rosbag2 reads a single file by it."""
+        """Write into the file a metadata.yaml for this file only, with which rosbag2 reads a single file."""
         information = bag_information(self._topics, [span], self._facts)
         self._file.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": yaml_text(information).rstrip()})
 

@@ -1,1 +1,1 @@
-"""What an operator starts and looks at: launch files."""
+"""Launch files, and the tests that they start."""

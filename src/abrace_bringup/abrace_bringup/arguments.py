@@ -1,7 +1,7 @@
 """Launch arguments: their table, and their check before the first node is started.
 
-Launch files run in the Python of `ros2 launch`, which may lack what our nodes have: this needs the standard library and
-PyYAML alone, and no ROS.
+Launch files run in the Python of `ros2 launch`, which may lack the packages of abrace's nodes: this module needs only
+the standard library and PyYAML, and no ROS.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Argument:
     name
         As in `name:=value`.
     default
-        Text that is taken where none is given.
+        Text that is used if none is given.
     description
         What it is, with its unit.
     read

@@ -1,4 +1,4 @@
-"""The launch description of a test: arguments, nodes, and what the end of a node means."""
+"""The launch description of a test: arguments, nodes, and the consequence of each node's end."""
 
 from __future__ import annotations
 
@@ -119,6 +119,6 @@ def _robot_state_publisher(values: Mapping[str, Any]) -> Action:
         exec_name="robot_state_publisher",
         namespace=values["namespace"],
         parameters=[{"robot_description": ParameterValue(description, value_type=str)}],
-        # it does not know of ABRACE_END_WITH
+        # this node does not support ABRACE_END_WITH
         prefix="setpriv --pdeathsig TERM",
     )

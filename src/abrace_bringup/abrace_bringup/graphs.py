@@ -1,4 +1,4 @@
-"""The graphs that launch files start: arguments, nodes with their parameters, and what the end of a node means."""
+"""The graphs that launch files start: arguments, nodes, their parameters, and the consequence of a node's end."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 COMMON = (
-    Argument("bag", "", "bag (a new directory) to write; has to be given", new_bag),
+    Argument("bag", "", "bag (a new directory) to write; required", new_bag),
     Argument("namespace", "rig", "namespace of all nodes", namespace),
     Argument("rig", "ncree_three_storey", "rig: a name in abrace_plant's configuration or a file", rig),
-    Argument("plant", "true", "true: start the simulated rig; false: a real rig runs, or one on another machine", flag),
+    Argument("plant", "true", "true: start the simulated rig; false: a real or remote rig is running", flag),
     Argument("free_decay", "5.0", "s that are recorded after the end of the signal", number),
-    Argument("patience", "30.0", "s in which the nodes have to start and find each other", number),
+    Argument("patience", "30.0", "s within which the nodes have to start and find each other", number),
     Argument(
         "parameters",
         "",
-        "ROS parameter file for all nodes, by their names; goes before arguments; empty: none",
+        "ROS parameter file for all nodes, by their names; overrides the arguments; empty: none",
         parameter_file_or_none,
     ),
     Argument(
@@ -49,7 +49,7 @@ CLOSED_LOOP = (
     Argument(
         "controller",
         "",
-        "controller file (YAML) that `design` wrote, or PACKAGE/EXECUTABLE of a node of your own; has to be given",
+        "controller file (YAML) that `design` wrote, or PACKAGE/EXECUTABLE of a node of your own; required",
         controller,
     ),
     Argument(
@@ -66,7 +66,7 @@ IDENTIFICATION = (
     Argument(
         "drive",
         "",
-        "what moves the rig: table, command or both; has to be given; both: multisines on odd lines of "
+        "what moves the rig: table, command or both; required; both: multisines on odd lines of "
         "the table and even ones of the command",
         one_of("table", "command", "both"),
     ),
@@ -167,7 +167,7 @@ def _test(
 
 
 def end_of_node(executable: str, returncode: int, shutting_down: bool) -> str | None:
-    """What the end of a required node means for the launch.
+    """The consequence of the end of a required node for the launch.
 
     Parameters
     ----------
@@ -188,4 +188,4 @@ def end_of_node(executable: str, returncode: int, shutting_down: bool) -> str | 
     if returncode == 0 and executable in (SUPERVISOR, "plant"):
         return ""
     how = f"exit code {returncode}" if returncode >= 0 else f"signal {-returncode}"
-    return f"{executable} has ended with {how}, the test is not whole"
+    return f"{executable} has ended with {how}, the test is incomplete"

@@ -2,7 +2,7 @@
 
     abrace run abrace_bringup closed_loop controller:=lqg3.yaml bag:=bags/first
 
-What the nodes print comes to the terminal, each line with its node's name.
+The nodes' output is printed on the terminal, each line with the node's name.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from abrace_bringup.graphs import NodeSetup
 
 PERIOD = 0.05
-"""Seconds between looks at what the nodes print, and whether one has ended."""
+"""Seconds between polls of the nodes' output, and of whether one has ended."""
 FOR_LAUNCH = "robot_state_publisher"
 """The argument for a node that only a machine with `ros2 launch` has."""
 
@@ -45,7 +45,7 @@ def identification() -> int:
 def _main(
     name: str, table: Sequence[Argument], nodes: Callable[[Mapping[str, Any]], list[NodeSetup]], example: str
 ) -> int:
-    """Carry out a test; returns the exit code: 0 it is over, or was stopped, 1 it is not whole, 2 wrong arguments."""
+    """Run a test; returns the exit code: 0 it is over, or was stopped, 1 it is incomplete, 2 wrong arguments."""
     words = sys.argv[1:]
     if {"-h", "--help"} & set(words):
         rows = [f"  {argument.name}:={argument.default}\n        {argument.description}" for argument in table]
@@ -80,7 +80,7 @@ def _values(table: Sequence[Argument], words: Sequence[str]) -> dict[str, Any]:
     given = dict(word.split(":=", 1) for word in words)
     values = read_arguments(table, {argument.name: argument.default for argument in table} | given, list(given))
     if values[FOR_LAUNCH]:
-        raise AbraceError(f"{FOR_LAUNCH}:=true, expected false: that node takes `ros2 launch`")
+        raise AbraceError(f"{FOR_LAUNCH}:=true, expected false: that node needs `ros2 launch`")
     return values
 
 

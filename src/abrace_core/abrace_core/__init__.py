@@ -1,1 +1,1 @@
-"""What every part of abrace stands on: models with named signals, their simulation, bags, and the node conventions."""
+"""The base of all packages: models with named signals, their simulation, safety checks, and the node conventions."""

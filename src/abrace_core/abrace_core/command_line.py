@@ -1,4 +1,4 @@
-"""Arguments of commands as a person gets them wrong: one line, with the name that was meant. No ROS."""
+"""Command-line parser whose errors are one line and suggest the name that was meant. No ROS."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from abrace_core.suggestion import expected_of
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """A parser whose errors are one line; `example` stands at the end of its help."""
+    """A parser whose errors are one line; its help ends with the `example`."""
 
     def __init__(self, *, example: str = "", **options: object) -> None:
         options.setdefault("allow_abbrev", False)
@@ -20,7 +20,7 @@ class OneLineParser(argparse.ArgumentParser):
         super().__init__(**options)  # type: ignore[arg-type]
 
     def error(self, message: str) -> NoReturn:
-        """End with a line of what is wrong, by the `message` of argparse."""
+        """End with an error in one line, made from the `message` of argparse."""
         self.exit(2, f"{self.prog}: {self._in_words(message)}\n")
 
     def _in_words(self, message: str) -> str:
@@ -38,7 +38,7 @@ class OneLineParser(argparse.ArgumentParser):
             kind = {"float": "a number", "int": "a whole number"}.get(match[2], "another one")
             return f"argument {match[1]}: {match[3]!r}, expected {kind}"
         if match := re.match(r"argument (\S+): expected (?:one|at least one) argument", message):
-            return f"argument {match[1]}: nothing behind it, expected {self._form()}"
+            return f"argument {match[1]}: no value after it, expected {self._form()}"
         return f"{message}, expected {self._form()}"
 
     def _choices(self) -> list[str]:

@@ -21,7 +21,7 @@ R = TypeVar("R")
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Decorator for a function of numbers, arrays and tuples of arrays that consists of loops over them.
 
-    It is compiled anew for each combination of types and memory layouts of its arguments: give it contiguous arrays of
+    It is compiled for each combination of types and memory layouts of its arguments: give it contiguous arrays of
     float64 (or structured ones, for named columns), and scalars of one type. A plain tuple costs less at each call than
     a named one, which the function can make of it.
 

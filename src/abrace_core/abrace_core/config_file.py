@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MOST_MISTAKES = 12
-"""Mistakes in one file that are told, in one line."""
+"""Greatest number of mistakes in one file that are listed in its error."""
 
 
 class Checked(pydantic.BaseModel):

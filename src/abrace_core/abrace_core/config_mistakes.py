@@ -1,4 +1,4 @@
-"""What is wrong in a file that a person wrote, in words: pydantic's findings without its wording."""
+"""Readable errors for files that people write: pydantic's findings in abrace's wording."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _UNIT = re.compile(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*[A-Za-z%/]+[\w/^%* ]*")
 def mistakes(
     error: pydantic.ValidationError, schema: type[pydantic.BaseModel], tagged: Collection[str] = ()
 ) -> list[str]:
-    """Each mistake in words, keys first that `schema` does not have.
+    """A text for each mistake, unknown keys first.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def expected(found: Mapping[str, Any], value: Any) -> str:
 
 
 def _numbers_mistake(text: str) -> str:
-    """What keeps a text from being a number."""
+    """A hint why a text is not a number."""
     try:
         float(text)
     except ValueError:

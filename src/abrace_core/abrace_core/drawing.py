@@ -1,8 +1,8 @@
-"""What all figures share: colours, and how they are saved.
+"""Common parts of all figures: colours, and how they are saved.
 
-A figure is a matplotlib Figure that belongs to no window. Measured curves have one colour throughout and simulated or
-fitted ones another; a reference (another model's curve, the paper's numbers) is grey, what two
-curves differ by ochre.
+A figure is a matplotlib Figure without a window. Measured curves have one colour throughout and simulated or
+fitted ones another; a reference (another model's curve, the paper's numbers) is grey, the difference of two curves
+ochre.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def captioned(figure: Figure, caption: str) -> Figure:
 
 
 def save_figure(figure: Figure, path: Path | str) -> None:
-    """Write a `figure` to a PNG file, and beside it as SVG and as the report zooms it, with its caption."""
+    """Write a `figure` with its caption to a PNG file and, in the same folder, as SVG and as JSON for Plotly."""
     path = Path(path)
     figure.draw_without_rendering()
     figure.set_layout_engine(None)

@@ -6,14 +6,14 @@ import json
 
 
 class AbraceError(Exception):
-    """Something that the user gave is wrong: the message says what, where, and what was expected.
+    """An input of the user is wrong: the message says what, where, and what was expected.
 
     A node's `main` prints the message as one line and exits with code 2.
     """
 
 
 class RunFailed(AbraceError):  # noqa: N818
-    """What the user gave may be right, and yet something failed while it ran: the exit code is 1."""
+    """Something failed at run time, though the user's input may be right: the exit code is 1."""
 
 
 def not_json(error: ValueError) -> str:

@@ -1,4 +1,4 @@
-"""Files that are whole or not there, after a crash or a power loss too: written beside, synced, then renamed."""
+"""Atomic writing of files, also against crash or power loss: a temporary file is written, synced, then renamed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def write_atomically(path: Path | str) -> Iterator[Path]:
     """A temporary file in the folder of `path`; renamed to `path` when the block ends, removed when it raises.
 
     It has the suffix of `path`, by which some writers choose the format. When the block has ended the file is on the
-    disk: a power loss leaves the old file or the new one, whole.
+    disk: a power loss leaves the complete old file or the complete new one.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def write_text(path: Path | str, text: str) -> None:
 
 
 def make_folder(path: Path, *, new: bool = False) -> None:
-    """Make a folder and those above it, which a power loss does not take away.
+    """Make a folder and those above it, and sync them to the disk.
 
     Parameters
     ----------

@@ -37,12 +37,12 @@ def find_file(name: str, package: str, folder: str, ending: str, kind: str) -> P
 
 
 def _near(path: Path, ending: str) -> str:
-    """The file beside a missing one that may be meant."""
+    """A suggestion for a missing file: a similar name in the same folder."""
     return did_you_mean(path.name, [entry.name for entry in path.parent.glob(f"*{ending}") if entry.is_file()])
 
 
 def _installed(package: str, folder: str) -> Path:
-    """A folder of a package's share directory, which is beside the Python that it is installed in, or of its source."""
+    """A folder of a package's share directory, found from where its modules are installed, or of its source."""
     found = importlib.util.find_spec(package)
     if found is None or found.origin is None:
         raise AbraceError(f"package {package}: not found, expected it on the Python path")

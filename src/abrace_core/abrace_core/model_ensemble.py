@@ -1,8 +1,8 @@
-"""Models as likely as an identified one: drawn from the joint covariance of its parameters, which its file holds.
+"""Random models drawn from the uncertainty of an identified one: the joint covariance of its parameters in its file.
 
 The parameters of a model in modal form (a 2 x 2 block [[re, -im], [im, re]] for each pole pair, one state for each real
 pole) are the poles' parts, state by state, then the entries of B, C and D, row by row, and the delay of each input.
-Their errors are taken for normal; a delay that would be drawn below zero is zero.
+Their errors are assumed to be normal; a delay that would be drawn below zero is zero.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ MOST_TRIES = 100
 
 @takes_models
 def draw_models(model: LinearModel, covariance: NDArray[np.float64], count: int, seed: int) -> list[LinearModel]:
-    """Models drawn about an identified one.
+    """Models drawn from the covariance of an identified one.
 
-    Draws with an unstable pole are drawn anew: no structure gives energy.
+    Draws with an unstable pole are repeated, as a passive structure is stable.
 
     Parameters
     ----------

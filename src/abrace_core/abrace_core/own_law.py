@@ -1,4 +1,4 @@
-"""A control law of one's own: a Python class that is given each sample and returns forces. No ROS is needed for it.
+"""A control law of your own: a Python class that receives each sample and returns forces. No ROS is needed for it.
 
     class Skyhook:
         def __init__(self, damping: float = 2.0e5) -> None: ...
@@ -52,10 +52,10 @@ class LawSample:
 
 
 class Law(Protocol):
-    """A control law. What its constructor takes, each with a default, are the node's parameters."""
+    """A control law. The arguments of its constructor, each with a default, are the node's parameters."""
 
     def begin(self, floors: int, groups: int, sample_period: float) -> None:
-        """Begin anew, from rest: the first sample of a run comes, or one after a stop.
+        """Start from rest: the next sample is the first of a run, or the first after a stop.
 
         The rig has so many `floors` and brace `groups`, and a `sample_period` [s].
         """
@@ -65,7 +65,7 @@ class Law(Protocol):
 
 
 def law_options(law: Callable[..., Law]) -> dict[str, Any]:
-    """What a `law`'s constructor takes, with the defaults: the parameters that its node has.
+    """The arguments of a `law`'s constructor with their defaults: the parameters of its node.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def made_law(law: Callable[..., Law], options: dict[str, Any]) -> Law:
 
 
 class GuardedLaw:
-    """A law as a node uses it: its forces fade in, and what goes wrong in it is an AbraceError.
+    """A law as a node uses it: its forces fade in, and its exceptions become AbraceErrors.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class GuardedLaw:
         self._floors = self._groups = 0
 
     def begin(self, floors: int, groups: int) -> None:
-        """Begin anew with the next sample of a rig of so many `floors` and brace `groups`."""
+        """Restart with the next sample of a rig with these numbers of `floors` and brace `groups`."""
         self._floors, self._groups, self._step = floors, groups, 0
         self._call("begin", floors, groups, self._period)
 

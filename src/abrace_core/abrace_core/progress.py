@@ -47,7 +47,7 @@ class Progress:
         self._number = 0
 
     def kept(self, name: str) -> None:
-        """Say that a step called `name` was done before, and is whole."""
+        """Report that the step `name` was completed before, and is kept."""
         self._number += 1
         self._stream.write(f"[{self._number}/{self._steps}] {name}: whole, kept\n")
         self._stream.flush()

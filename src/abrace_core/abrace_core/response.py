@@ -47,10 +47,10 @@ TABLE_1_SIMULATION = {
     "f": PeakRms(1725.0, 221.0),
     "U": PeakRms(1657.0, 205.8),
 }
-"""The paper's simulation of the same test [cm, g, kgf]; 0.136 away from its experiment by `mean_relative_error`."""
+"""The paper's simulation of the same test [cm, g, kgf]; its `mean_relative_error` from the experiment is 0.136."""
 
 PAPER_RIG = "ncree_three_storey"
-"""Name that the rig file of the paper's building gives; the numbers of the paper stand beside no other rig's."""
+"""Name in the rig file of the paper's building; only this rig is compared with the paper's numbers."""
 
 UnitSystem = Literal["paper", "SI"]
 """Units in which quantities are shown: cm, g and kgf, or mm, m/s² and kN."""
@@ -133,7 +133,7 @@ def mean_relative_error(table: Mapping[str, PeakRms], reference: Mapping[str, Pe
 
 
 def clipped_sentences(counts: Mapping[str, int] | None) -> list[str]:
-    """What is to be said of the channels at the end of their range, from `Run.clipped_samples` as `counts`.
+    """Sentences on the channels at the end of their range, from `Run.clipped_samples` as `counts`.
 
     >>> clipped_sentences({"a2": 14, "w": 1})
     ['a2: 14 samples at the end of its range', 'w: 1 sample at the end of its range']
@@ -141,5 +141,5 @@ def clipped_sentences(counts: Mapping[str, int] | None) -> list[str]:
     []
     """
     if counts is None:
-        return ["samples at the end of a sensor's range: unknown, its responses do not say"]
+        return ["samples at the end of a sensor's range: unknown, its responses have no such flag"]
     return [f"{name}: {n} sample{'s' if n > 1 else ''} at the end of its range" for name, n in counts.items()]

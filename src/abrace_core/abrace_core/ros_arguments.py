@@ -1,4 +1,4 @@
-"""What is wrong in a node's arguments and environment, in words: rcl tells a parser's state, or aborts."""
+"""Readable errors in a node's arguments and environment; rcl prints the state of its parser, or aborts."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _expect(environment: Mapping[str, str], name: str, fits: Any, expected: str)
 
 
 def mistake_in(arguments: Sequence[str]) -> str:
-    """What is wrong in a node's `arguments`, those behind `--ros-args`, in one line; empty: nothing that is known."""
+    """The error in a node's `arguments`, those after `--ros-args`, in one line; empty: none is known."""
     words = list(arguments)
     if "--ros-args" not in words:
         return ""
@@ -80,10 +80,10 @@ def mistake_in(arguments: Sequence[str]) -> str:
             continue
         if flag not in _WITH_VALUE:
             hint = ", did you leave out -p?" if ":=" in flag else did_you_mean(flag, _WITH_VALUE)
-            return f"argument {flag}: unknown behind --ros-args, expected -p name:=value or --params-file FILE{hint}"
+            return f"argument {flag}: unknown after --ros-args, expected -p name:=value or --params-file FILE{hint}"
         value = next(rest, None)
         if value is None:
-            return f"argument {flag}: nothing behind it, expected {_WITH_VALUE[flag]}"
+            return f"argument {flag}: no value after it, expected {_WITH_VALUE[flag]}"
         if mistake := _mistake(flag, value):
             return mistake
     return ""
@@ -112,7 +112,7 @@ def _check_parameter(given: str) -> None:
             f"argument -p {given}: expected name:=value, as {name or 'name'}:={text.lstrip('=') or 'value'}"
         )
     if not text:
-        raise AbraceError(f"argument -p {given}: nothing behind :=, expected a value; an empty text is ''")
+        raise AbraceError(f"argument -p {given}: nothing after :=, expected a value; an empty text is ''")
     _check_value(parse_yaml(text, f"argument -p {given}"), f"argument -p {given}")
 
 

@@ -81,7 +81,7 @@ class Run:
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """(samples,) seconds since the rig's sample 0, which a record that began late has not."""
+        """(samples,) seconds since the rig's sample 0, which is not in a record that began late."""
         return self.sequence.astype(np.float64) * self.sample_period
 
     @property

@@ -74,7 +74,7 @@ def command_names(groups: int) -> tuple[str, ...]:
 
 
 def positions(names: Sequence[str], known: Sequence[str], missing: str) -> list[int]:
-    """Where signals stand among the known ones, each in the paper's form or in that of messages.
+    """Positions of signals among the known ones, each in the paper's form or in that of messages.
 
     `x2` is also `displacement[1]`, as a bag's messages have it, and `displacement_2`, as column 2 of a matrix; likewise
     stroke (xf), acceleration (a) and command (U); `w` is `ground_acceleration`. `f` has no other form: the messages'

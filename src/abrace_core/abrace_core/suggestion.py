@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def did_you_mean(given: str, names: Collection[str]) -> str:
-    """A question to put behind an error message: the nearest of `names` to the one `given`; empty if none is near.
+    """A question to append to an error message: the nearest of `names` to the one `given`; empty if none is near.
 
     >>> did_you_mean("ncree_three_story", ["five_storey", "ncree_three_storey"])
     ', did you mean ncree_three_storey?'

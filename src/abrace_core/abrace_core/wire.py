@@ -1,8 +1,8 @@
 """The control loop's three messages as serialised (CDR, little endian), each packed and unpacked in one step.
 
-rclpy builds a Python object for each message and each message in it: 10 to 16 microseconds a message, most of the time
-of a lockstep sample besides DDS. The loop's nodes receive and publish these bytes instead; to other nodes they are
-ordinary messages. Tests compare every layout with rclpy's own serialisation.
+rclpy builds a Python object for each message and each message in it: 10 to 16 microseconds a message, which, apart from
+DDS, is most of the time of a lockstep sample. The loop's nodes receive and publish these bytes instead; to other nodes
+they are ordinary messages. Tests compare every layout with rclpy's own serialisation.
 
 Layout (XCDR1): 4 bytes of encapsulation; then, with alignment counted from there, the header (int32 sec, uint32
 nanosec, string frame_id), and the fields of Response, BraceCommand or geometry_msgs/AccelStamped.
@@ -108,7 +108,7 @@ def _unpack_text(payload: bytes, position: int, name: str) -> str:
 
 
 class Head(NamedTuple):
-    """What a Response says of the rig beside what was measured, with the names and meanings of Response.msg."""
+    """The fields of a Response other than measurements, with the names and meanings of Response.msg."""
 
     sequence: int
     run: int

@@ -1,4 +1,4 @@
-"""YAML files that people write, with errors in words. Launch files use it: PyYAML and the standard library alone."""
+"""YAML files that people write, with readable errors. Launch files use it: only PyYAML and the standard library."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class _Loader(yaml.SafeLoader):
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode):
                 if (key.tag, key.value) in known:
-                    raise yaml.composer.ComposerError(None, None, f"key {key.value!r} stands twice", key.start_mark)
+                    raise yaml.composer.ComposerError(None, None, f"key {key.value!r} appears twice", key.start_mark)
                 known.add((key.tag, key.value))
         return node
 
@@ -43,7 +43,7 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _REAL_WITHOUT_POINT, li
 
 
 def read_yaml(path: Path | str, kind: str) -> Any:
-    """What stands in a YAML file, which errors call a `kind`, as "rig".
+    """The content of a YAML file, which errors call a `kind`, such as "rig".
 
     Raises
     ------
@@ -63,15 +63,15 @@ def read_yaml(path: Path | str, kind: str) -> Any:
 
 
 def parse_yaml(text: str, where: str) -> Any:
-    """What a YAML `text` says, which stands `where`; an AbraceError says what is wrong in which line."""
+    """The content of a YAML `text`; an AbraceError says what is wrong in which line of `where`."""
     try:
         return yaml.load(text, _Loader)  # a safe loader
     except yaml.MarkedYAMLError as error:
         mark, problem = error.problem_mark or error.context_mark, error.problem or ""
         line = f": line {mark.line + 1}" if mark else ""
-        if "stands twice" in problem:
+        if "appears twice" in problem:
             raise AbraceError(f"{where}{line}: {problem}, expected once") from error
         words = next((words for pattern, words in _IN_WORDS if re.search(pattern, problem)), f"{problem}")
         raise AbraceError(f"{where}{line}: not YAML: {words}") from error
     except yaml.YAMLError as error:
-        raise AbraceError(f"{where}: not YAML: a character that no text has, expected a text file") from error
+        raise AbraceError(f"{where}: not YAML: a character that YAML does not allow, expected a text file") from error

@@ -1,4 +1,4 @@
-"""A matplotlib Figure as one of Plotly, so that it can be zoomed in a browser: the same axes, curves and words.
+"""A matplotlib Figure converted to Plotly, so that it can be zoomed in a browser: the same axes, curves and texts.
 
 Lines, bars, polygons, error bars, points and texts are taken over at their places.
 """
@@ -33,7 +33,7 @@ FRAME = {
 PIXELS_OF_A_TICK = 28.0
 """Least distance of the numbers at an axis."""
 BUTTONS = 36.0
-"""Width of the buttons beside a figure [pixels]."""
+"""Width of the buttons next to a figure [pixels]."""
 SCALES = {"linear": "linear", "log": "log"}
 
 
@@ -188,7 +188,7 @@ def _legends(figure: Figure, axes: Sequence[Axes], layout: dict[str, Any]) -> di
         name = "legend" if number == 1 else f"legend{number}"
         left, _, right, top = _corners(legend, figure)
         words = legend.get_texts()
-        # one of axes in several columns is set below each other: there is no room beside
+        # with axes in several columns the entries of a legend are stacked, as there is no space next to them
         in_rows = owner is None or len({round(word.get_window_extent().y0) for word in words}) == 1
         middle = 0.5 if owner is None else float((owner.bbox.x0 + owner.bbox.x1) / 2 / figure.bbox.x1)
         # held at the side that is nearer to its axes' edge, as letters are not as wide here

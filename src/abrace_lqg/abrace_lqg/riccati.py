@@ -109,7 +109,7 @@ def riccati(
     residual = linalg.norm(sum(terms)) / max(linalg.norm(term) for term in terms)
     if not residual < RESIDUAL_LIMIT:
         raise AbraceError(
-            f"design: the {name}'s Riccati equation is left with a relative residual of {residual:.1e}, "
+            f"design: the {name}'s Riccati equation has a relative residual of {residual:.1e}, "
             f"expected less than {RESIDUAL_LIMIT:.0e}"
         )
     if linalg.eigvals(a - b @ gain).real.max() >= 0:

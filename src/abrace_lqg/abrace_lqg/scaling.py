@@ -1,8 +1,8 @@
-"""Weights that nobody knows yet, scaled to a rig from one number: the reduction wanted, or the share of force to use.
+"""Relative weights scaled to a rig from one number: the wanted reduction, or the share of force to use.
 
-The weights of each kind say how they compare. Each signal counts over its mean square with zero command under the
-excitation of the design, each command over the square of its force limit; one factor on all weights but the commands'
-is then found such that the predicted responses, or commands, are what was asked for.
+The weights of each kind are relative. Each signal's is divided by its mean square with zero command under the
+excitation of the design, each command's by the square of its force limit. One factor on all weights but the commands'
+is then found such that the predicted responses, or commands, meet the target.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ DEVIATIONS = 3.0
 """A command's greatest value, in its rms."""
 
 ACCURATE = 0.02
-"""Greatest difference from the number that was asked for."""
+"""Greatest difference from the target."""
 
 
 @takes_models

@@ -2,7 +2,7 @@
 
 Eq. (11) weighs the recorded quantities and the commands, and sums of the former: the drift of each storey and the base
 shear. The Kalman filter needs the noise of the measured ones. All values are in SI units: the weights multiply squares
-of m, m/s^2 and N. Weights that nobody knows yet are scaled to a rig from one number (`abrace_lqg.scaling`).
+of m, m/s^2 and N. With `scale` they are relative, and scaled to a rig from one number (`abrace_lqg.scaling`).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class KindWeights(Checked):
 
 
 class Scale(Checked):
-    """What scales the weights to a rig; one of the two.
+    """The target by which weights are scaled to a rig; one of the two.
 
     Parameters
     ----------
@@ -95,8 +95,8 @@ class Weights(Checked):
     masses
         Of the floors, the lowest first [kg], for the base shear.
     scale
-        What scales the weights to a rig: those of each kind then say only how they compare, each over the mean square
-        of its signal with zero command, a command's over the square of its force limit.
+        The target by which the weights are scaled to a rig. The weights are then only relative: each is divided by the
+        mean square of its signal with zero command, a command's by the square of its force limit.
     """
 
     measured: Annotated[list[str], pydantic.Field(min_length=1)]
@@ -131,7 +131,7 @@ class Weights(Checked):
         return self
 
     def of(self, outputs: Sequence[str], commands: Sequence[str]) -> Weights:
-        """These weights for a model with such `outputs` and `commands`: names that stand for several written out.
+        """These weights for a model with such `outputs` and `commands`: names with a wildcard are expanded.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""What an identification from measured data leaves: model, poles, and how well each output is predicted."""
+"""Results of an identification from measured data: model, poles, and how well each output is predicted."""
 
 from __future__ import annotations
 

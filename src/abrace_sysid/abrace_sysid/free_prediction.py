@@ -32,7 +32,7 @@ def variance_accounted_for(model: LinearModel, data: MeasuredData) -> NDArray[np
 
 @takes_models
 def predicted(model: LinearModel, data: MeasuredData) -> NDArray[np.float64]:
-    """(samples, outputs) what a model makes of the inputs, from the initial state that fits the outputs best.
+    """(samples, outputs) the model's response to the inputs, from the initial state that fits the outputs best.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def predicted(model: LinearModel, data: MeasuredData) -> NDArray[np.float64]:
         Stable; with the inputs of the data. Of a continuous one the data's inputs are taken as band-limited, of a
         discrete one at its samples.
     data
-        The test; its means are taken off.
+        The test; its means are subtracted.
     """
     inputs = data.channels(model.inputs)
     measured = data.channels(model.outputs)

@@ -199,7 +199,7 @@ def identify(
     progress("balanced reduction", 0.95)
     scales = typical_scales(whole, options.command_band, intensity)
     reduction = balanced_truncation(whole, options.reduced_order, scales)
-    reduced = replace(reduction.model, provenance={**provenance, "states": "consistent, balanced and cut, Eq. (9)"})
+    reduced = replace(reduction.model, provenance={**provenance, "states": "consistent, balanced, truncated, Eq. (9)"})
     progress("identified", 1.0)
     misfits = [sentence for data in tests for sentence in _misfits(model, data)]
     if poles.estimate is not None:
@@ -234,8 +234,8 @@ def _lags_that_differ(
     """A sentence for each command whose servo's lag, as measured, is far from that of the bench test."""
     given = options.servo_lag
     return [
-        f"{data.source}: {data.input} lags by {1e3 * lags[data.input]:.2g} ms, servo_lag says {1e3 * given:.2g}: the "
-        "models have what was measured; was servo_lag measured on this rig, in s?"
+        f"{data.source}: {data.input} lags by {1e3 * lags[data.input]:.2g} ms, servo_lag is {1e3 * given:.2g} ms: the "
+        "models have the measured lag; was servo_lag measured on this rig, in s?"
         for data in commands
         if given and abs(lags[data.input] - given) > LAG_DIFFERENCE * given
     ]
@@ -323,7 +323,7 @@ def _repeated_realizations(runs: Sequence[Run], names: Sequence[str]) -> tuple[s
     for name in names:
         for one, other in combinations(runs, 2):
             if same_realization(held_input(one, name), held_input(other, name)):
-                advice = "expected a seed of its own for each, or nonlinear distortion does not show in the intervals"
+                advice = "expected different seeds, or the intervals do not include nonlinear distortion"
                 return (f"{one.source} and {other.source}: the same multisine of {name}; {advice}",)
     return ()
 

@@ -1,4 +1,4 @@
-"""What an identification leaves: its models, poles and nonlinear distortion as files."""
+"""Files of an identification: its models, poles and nonlinear distortion."""
 
 from __future__ import annotations
 

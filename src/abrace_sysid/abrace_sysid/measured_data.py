@@ -1,6 +1,6 @@
 """Measured data of any structure: arrays with named inputs and outputs, from files of MATLAB, NumPy or text.
 
-A rig's own tests are read from bags (`Run`); everything that identification asks of a test both can tell.
+A rig's own tests are read from bags (`Run`); both types have everything that identification needs of a test.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class MeasuredData:
 
     @property
     def command_names(self) -> tuple[str, ...]:
-        """Of a rig's commands: there are none, inputs stand at their samples."""
+        """Names of a rig's commands: none, as the inputs of data belong to their own samples."""
         return ()
 
     @property

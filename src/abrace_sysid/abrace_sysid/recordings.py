@@ -1,7 +1,7 @@
 """Recorded tests before identification: checked, cut to the longest piece without a gap, trends removed.
 
-What makes a test useless is an error, with what was found and what was expected; what costs a channel or a piece of the
-record is a warning, and the rest is used.
+A fault that makes a test useless is an error, with what was found and what was expected; the loss of a channel or of a
+piece of the record is a warning, and the rest is used.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What was judged of an identification, as files: validity.json and the figure that is to be read first."""
+"""Files of the validity of an identification: validity.json and the figure that is to be read first."""
 
 from __future__ import annotations
 

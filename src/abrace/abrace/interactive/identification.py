@@ -76,7 +76,7 @@ class Identified:
 
     @property
     def validity(self) -> Validity:
-        """All findings; `print(validity.text())` has them in words."""
+        """All findings; `print(validity.text())` shows them as text."""
         return self.judged.validity
 
     def to_pandas(self) -> pandas.DataFrame:

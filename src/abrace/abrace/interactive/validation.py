@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Validated:
-    """A test beside its simulation by a model.
+    """Comparison of a test with its simulation by a model.
 
     Parameters
     ----------

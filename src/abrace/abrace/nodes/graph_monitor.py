@@ -43,7 +43,8 @@ def expected_matches(inputs: Mapping[str, str], plant: bool = True) -> dict[str,
             **{f"publishers of {topic}": 1 for topic in inputs},
         }
     else:
-        # that rig samples already, and tells nobody whom it has found: until its samples come, some are not recorded
+        # that rig already samples, and does not report whom it has found: samples before the first one received are not
+        # recorded
         expected["logger"]["messages of response"] = 1
     for topic, node in inputs.items():
         expected[node] = {"publishers of response": 1, f"subscribers of {topic}": 2}
@@ -135,7 +136,7 @@ class GraphMonitor:
                 raise RunFailed(f"no diagnostics of {node} in namespace {self._namespace} within {timeout:g} s")
 
     def tells_partners(self, node: str, timeout: float, check: Callable[[], None]) -> bool:
-        """Whether a node of the user's says in its diagnostics whom it has found, as ours do.
+        """Whether a node of the user's reports in its diagnostics whom it has found, as abrace's nodes do.
 
         Parameters
         ----------

@@ -64,7 +64,7 @@ def status() -> int:
 
 
 def stop() -> int:
-    """Press the stop button of the whole laboratory; returns the exit code: 1 if no rig has said that it stops."""
+    """Press the stop button of the whole laboratory; returns the exit code: 1 if no rig has reported that it stops."""
     with graph_operator() as operator:
         publisher = operator.node.create_publisher(Bool, STOP_TOPIC, TRANSIENT_LOCAL_QOS)
         button = StopButton(operator.node, publisher, lambda: True)
@@ -81,9 +81,9 @@ def stop() -> int:
             print(f"{name}: stop {operator.reports[name].stopped}")
         missing = sorted(set(operator.rigs()) - set(stopped()))
         for name in missing:
-            print(f"{name}: has not said that it stops", file=sys.stderr)
+            print(f"{name}: has not reported that it stops", file=sys.stderr)
         if not stopped():
-            print("no rig has said that it stops; press the stop button of the hardware", file=sys.stderr)
+            print("no rig has reported that it stops; press the stop button of the hardware", file=sys.stderr)
         return int(not listening)
 
 

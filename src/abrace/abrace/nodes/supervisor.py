@@ -2,7 +2,7 @@
 
 abrace run abrace supervisor --ros-args -p inputs:=[brace_command=controller] -p signals:=[ground_motion]
 
-With it `ros2 launch` runs a test as a campaign does: the rig stands still until everything is recorded. Signals are
+With it `ros2 launch` runs a test as a campaign does: the rig stays inactive until all topics are recorded. Signals are
 those of nodes that report `signal` and `elapsed` in their diagnostics: `ground_motion` and `excitation`.
 """
 
@@ -16,25 +16,25 @@ from abrace_core.node import AbraceNode, Parameter, run
 from abrace_core.safety.rig_safety import RAMP_TIME
 
 STUCK = 30.0
-"""Seconds in which a signal does not go on that end a test."""
+"""Seconds without progress of a signal that end a test."""
 
 PARAMETERS = [
     Parameter(
         "inputs",
         [],
-        "what the rig obeys and who publishes it: brace_command=controller, ground_motion=ground_motion",
+        "inputs of the rig and the nodes that publish them: brace_command=controller, ground_motion=ground_motion",
         element=str,
         required=True,
     ),
     Parameter("plant", True, "the rig is the node plant, which is activated; false: the nodes of inputs are, in turn"),
-    Parameter("signals", [], "nodes whose signals the test waits for; empty: it goes on until stopped", element=str),
+    Parameter("signals", [], "nodes for whose signals the test waits; empty: it runs until stopped", element=str),
     Parameter("free_decay", 5.0, "s from the end of the last signal to the end of the test", minimum=0.0),
-    Parameter("patience", 30.0, "s in which the nodes have to start and find each other", minimum=0.1),
+    Parameter("patience", 30.0, "s within which the nodes have to start and find each other", minimum=0.1),
 ]
 
 
 class Supervisor(AbraceNode):
-    """Activates what was held, watches the signals, and ends: with code 1 if the test is not as it should be."""
+    """Activates the inactive nodes, watches the signals, and ends: with code 1 if there was a problem."""
 
     def __init__(self) -> None:
         super().__init__("supervisor", PARAMETERS)
@@ -79,7 +79,7 @@ class Supervisor(AbraceNode):
         return next(enclave for name, namespace, enclave in nodes if (name, namespace) == itself)
 
     def begin(self) -> None:
-        """Configure what is held, and activate it once all nodes are matched."""
+        """Configure the inactive nodes, and activate them once all nodes are matched."""
         monitor, patience = self.monitor, self.parameters.patience
         for node in self.held:
             monitor.wait_until_heard(node, patience, self.note_faults)
@@ -109,7 +109,7 @@ class Supervisor(AbraceNode):
                     waiting.remove(node)
             if time.monotonic() > news + STUCK:
                 raise AbraceError(
-                    f"{', '.join(waiting)}: the signal has not gone on for {STUCK:g} s, is the rig there?"
+                    f"{', '.join(waiting)}: the signal has made no progress for {STUCK:g} s, is the rig there?"
                 )
         print(f"supervisor: the signal is over, {self.parameters.free_decay:g} s of free decay follow", flush=True)
         self.spin(self.parameters.free_decay)

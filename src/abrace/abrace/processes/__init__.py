@@ -1,1 +1,1 @@
-"""Nodes as processes: found, given parameters, started, watched, stopped, none left behind."""
+"""Nodes as processes: finding, parameters, starting, watching and stopping them, so that none is left behind."""

@@ -1,8 +1,8 @@
 """Starting, watching and stopping the processes of a test, so that none outlives it.
 
-Every node runs in a session of its own: Ctrl-C at the terminal reaches us alone, and we stop the nodes in an order that
-lets the logger close its bag last. Signals go to a node's whole process group, which has its children too.
-Where we are killed before we could stop them (kill -9), a small guard process ends them (`orphan_guard`).
+Every node runs in a session of its own: Ctrl-C at the terminal reaches only this process, which stops the nodes in an
+order that lets the logger close its bag last. Signals go to a node's whole process group, including its children. If
+this process is killed before it could stop them (kill -9), a small guard process ends them (`orphan_guard`).
 """
 
 from __future__ import annotations
@@ -208,7 +208,7 @@ class ProcessGroup:
         argv
             Program and arguments.
         log_file
-            Takes its output, errors included; written anew.
+            Receives its output, errors included; an existing file is replaced.
         environment
             Variables in addition to ours.
 

@@ -1,4 +1,4 @@
-"""Two campaigns side by side: poles, validity, margins, measured peaks and rms, timing, and by how much they differ."""
+"""Comparison of two campaigns: poles, validity, margins, measured peaks and rms, timing, and their differences."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def compare_campaigns(directory: Path, other: Path, system: UnitSystem | None = 
     sections = [Section(name, tuple(several)) for name, several in tables.items() if several]
     sections.insert(0, Section("Peaks and rms over those of " + names[1], tuple(pictures)))
     sections = [section for section in sections if section.parts]
-    write_text(directory / f"{folder}.html", page(title, f"Differences: {names[0]} less {names[1]}.", sections))
+    write_text(directory / f"{folder}.html", page(title, f"Differences: {names[0]} minus {names[1]}.", sections))
     return "\n\n".join(table.text() for several in tables.values() for table in several)
 
 
@@ -189,5 +189,5 @@ def _tested(comparison: Comparison) -> str:
 
 
 def _other(mine: Comparison, theirs: Comparison) -> str:
-    """What the other campaign tested where it is not the same."""
+    """What the other campaign tested, if it is different."""
     return "" if mine.test == theirs.test else f" (against {_tested(theirs)}, {theirs.test.rig})"

@@ -1,7 +1,7 @@
-"""The building in motion, from the bag of any test, alone or beside that of another: a GIF.
+"""An animation of the building as a GIF, from the bag of any test, alone or next to that of another test.
 
 Floors are drawn at their heights, moved by their measured displacements relative to the table, enlarged; below them the
-displacement of the top floor over time. What the enlargement is stands in the picture.
+displacement of the top floor over time. The picture states the enlargement.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def animate(
     start, duration
         Seconds of the test; 0 and 0: those about the greatest motion.
     exaggeration
-        Times which displacements are enlarged; 0: as fits.
+        Factor by which displacements are enlarged; 0: chosen to fit.
 
     Returns
     -------
@@ -185,7 +185,7 @@ def _span(
 
 
 def _storey_height(run: Run) -> float:
-    """As the rig file in the bag has it [m]."""
+    """The storey height from the rig file in the bag [m]."""
     content = yaml.safe_load(str(run.facts.get("rig_file", ""))) or {}
     return float(content.get("building", {}).get("storey_height", STOREY))
 

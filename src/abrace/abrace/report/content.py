@@ -63,7 +63,7 @@ class Report:
     units: Units
 
     def sections(self) -> list[Section]:
-        """All that the report says; figures of rig and tests are drawn and saved."""
+        """The whole content of the report; figures of rig and tests are drawn and saved."""
         found = [
             Section("The rig", tuple(part for rig in rigs_of(self.tests) for part in self._rig(rig))),
             Section("Tests", tuple(self._tests())),

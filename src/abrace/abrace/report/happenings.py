@@ -1,4 +1,4 @@
-"""What happened in the tests of a campaign, in words: what makes one untrustworthy, and what is only to be known."""
+"""Texts for the events in the tests of a campaign: those that make a test untrustworthy, and those for information."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ DOUBTS = {
     "table_limited": "with a ground motion cut to what the table can do",
     "stop_pressed": "with a stop pressed",
 }
-"""Counts of samples because of which a test is not what was asked for."""
+"""Counts of samples that make a test untrustworthy."""
 REMARKS = {
     "saturated": "with a command cut to the capacity",
     "rate_limited": "with a force held back by the rate limit",
     "late": "taken late",
     "missed_deadlines": "answered too late to act from the next one on",
 }
-"""Counts of samples that were as recorded, and may have been meant so."""
+"""Counts of samples that are correctly recorded, and may have been intended."""
 
 
 def _sentences(step: StepTiming, counted: dict[str, str]) -> list[str]:
@@ -40,14 +40,14 @@ def doubts(timing: Timing) -> list[str]:
 
 
 def happenings(timing: Timing) -> dict[str, dict[str, Any]]:
-    """By test, what happened in it beside what was asked for, counted in samples, from the campaign's `timing`."""
+    """By test, deviations from what was asked for, counted in samples, from the campaign's `timing`."""
     names = {"clipped", *DOUBTS, *REMARKS}
     counts = {step.name: step.model_dump(include=names) for step in timing.steps}
     return {name: found for name, all_ in counts.items() if (found := {key: n for key, n in all_.items() if n})}
 
 
 def happenings_table(timing: Timing) -> Table | None:
-    """What happened in the tests beside what was asked for, from the campaign's `timing`; None: nothing."""
+    """Deviations of the tests from what was asked for, from the campaign's `timing`; None: nothing."""
     rows: list[tuple[str, str, str]] = []
     for step in timing.steps:
         rows += [(step.name, sentence, "no") for sentence in _doubts_of(step)]

@@ -1,7 +1,7 @@
-"""A report as one page of HTML that needs nothing else: tables, figures that zoom, a style for screen and paper.
+"""A report as one self-contained page of HTML: tables, figures that zoom, a style for screen and paper.
 
-Plotly and the figures are packed into the page, so that it stays small; the browser unpacks and draws them. A figure
-that Plotly cannot draw is there as the image that it is.
+Plotly and the figures are compressed in the page, so that it stays small; the browser decompresses and draws them. A
+figure that Plotly cannot draw is included as an image.
 """
 
 from __future__ import annotations

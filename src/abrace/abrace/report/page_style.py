@@ -1,4 +1,4 @@
-"""What a report's page looks like, on a screen and on paper, and how it draws its figures."""
+"""The style of a report's page, for screen and paper, and the script that draws its figures."""
 
 STYLE = """
 :root { --blue: #1b3a6b; --rule: #d5d9e0; }
@@ -61,7 +61,7 @@ draw().catch(error => {
   console.error(error);
   const line = document.createElement("p");
   line.id = "failed";
-  line.textContent = `The figures cannot be drawn here (${error}); they are beside this page as PNG and SVG.`;
+  line.textContent = `The figures cannot be drawn here (${error}); they are in the folder of this page as PNG and SVG.`;
   document.querySelector("main").prepend(line);
 });
 """

@@ -1,4 +1,4 @@
-"""The tests of a campaign as their bags have them: what the report shows of each, whether it was compared or not."""
+"""The tests of a campaign, read from their bags: what the report shows of each, compared or not."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ class RecordedTest:
 
     @property
     def motion(self) -> dict[str, Any]:
-        """What moved the table, as the campaign file has it; empty: nothing did."""
+        """The table's motion in the campaign file; empty: none."""
         return _given(self.facts, "ground_motion")
 
     @property
     def excitation(self) -> dict[str, Any]:
-        """What drove the braces, likewise."""
+        """The braces' excitation, likewise."""
         return _given(self.facts, "excitation")
 
     @property
@@ -115,7 +115,7 @@ def _bag(directory: Path, parameters: Path) -> Path:
     content = yaml.safe_load(parameters.read_text(encoding="utf-8"))
     bag = Path(content["/**"]["ros__parameters"]["output"])
     if not bag.is_absolute() and not bag.exists():
-        # the report is made elsewhere than the campaign was run: results/NAME stands beside bags
+        # the report is made in another folder than the campaign: results/NAME and bags have the same parent
         bag = directory.resolve().parent.parent / bag
     return bag
 

@@ -1,4 +1,4 @@
-"""Figures of recorded tests: what moved the table and its spectra, and what the building did."""
+"""Figures of recorded tests: the table's motion with its spectra, and the building's response."""
 
 from __future__ import annotations
 
@@ -77,9 +77,9 @@ def _spectrum(run: Run) -> tuple[np.ndarray, np.ndarray]:
 
 
 def response_figure(test: RecordedTest, run: Run, units: Units) -> Figure:
-    """What the building and the braces did in a `test`: displacements, accelerations, forces with commands.
+    """The response of building and braces in a `test`: displacements, accelerations, forces with commands.
 
-    `run` is what its bag has; numbers are in these `units`. Of many floors three are drawn.
+    `run` is read from its bag; numbers are in these `units`. Of many floors three are drawn.
     """
     floors = sorted({1, (run.floors + 1) // 2, run.floors}, reverse=True)
     rows = [[f"x{floor}" for floor in floors], [f"a{floor}" for floor in floors]]

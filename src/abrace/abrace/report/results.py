@@ -5,7 +5,7 @@ poles.json where it has an identify step, and in a folder of the step's name the
 each validate step has a comparison.json in a folder of its name, each ambient step the ambient.json of the node
 `ambient`.
 
-poles.json, from an identify step; frequencies [rad/s], slowest first; `true` is [] where nobody knows the rig's own::
+poles.json, from an identify step; frequencies [rad/s], slowest first; `true` is [] if the rig's own are unknown::
 
     {"rig": "ncree_three_storey",
      "table":   {"identified": [{"frequency": 7.28, "damping_ratio": 0.0151}, ...], "true": [...]},
@@ -105,7 +105,7 @@ class Cells(Checked):
 
 
 class Agreement(Checked):
-    """How near the simulation came in one channel."""
+    """Agreement of the simulation in one channel."""
 
     correlation: Annotated[float, pydantic.Field(ge=-1.000001, le=1.000001)]
     normalised_rms_error: NonNegative
@@ -127,7 +127,7 @@ class ValidityFinding(Checked):
 
 
 class Prediction(Checked):
-    """How near a model's simulation came."""
+    """Agreement of a model's simulation."""
 
     simulated_vs_measured: dict[str, Agreement]
     peak_rms_error: NonNegative
@@ -169,7 +169,7 @@ class Comparison(Checked):
 
 
 class AmbientMode(pydantic.BaseModel):
-    """A mode found without a drive: frequency [rad/s], damping ratio, their standard deviations."""
+    """A mode from ambient vibration: frequency [rad/s], damping ratio, their standard deviations."""
 
     frequency: Positive
     damping_ratio: float
@@ -239,7 +239,7 @@ class LeastMargins(pydantic.BaseModel):
 
 
 class ProofModel(pydantic.BaseModel):
-    """What a controller does with one model."""
+    """A controller's predicted behaviour with one model."""
 
     name: str
     order: int

@@ -1,4 +1,4 @@
-"""What a report says, section by section: paragraphs, tables and figures, before they become Markdown or a page."""
+"""The sections of a report: paragraphs, tables and figures, before they become Markdown or a page."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ Part = str | Table | Picture | Listing
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what stands below it."""
+    """A heading and its content."""
 
     title: str
     parts: tuple[Part, ...]

@@ -170,7 +170,7 @@ def _interval_table(step: str, intervals: PoleIntervals) -> Table:
 
 
 def _pole_table(test: str, poles: Poles, is_papers: bool) -> Table:
-    """Poles found beside the plant's own and, where the rig is the paper's, the paper's."""
+    """Identified poles, the plant's own and, for the paper's rig, the paper's."""
     paper = [Pole(frequency=abs(p), damping_ratio=-p.real / abs(p)) for p in PAPER_POLES[test]] if is_papers else []
     missed = [true for true in poles.true if nearest_pole(poles.identified, true.frequency) is None]
 
@@ -197,7 +197,7 @@ def _pole_table(test: str, poles: Poles, is_papers: bool) -> Table:
 
 
 def _ambient_table(step: str, found: AmbientResult) -> Table:
-    """Modes without a drive with 95 % intervals, and how they have changed."""
+    """Modes from ambient vibration with 95 % intervals, and their changes."""
     changes = {mode.after: mode for mode in found.change.modes} if found.change else {}
 
     def row(mode: AmbientMode) -> tuple[str, ...]:
@@ -218,7 +218,7 @@ def _ambient_table(step: str, found: AmbientResult) -> Table:
     if found.change is not None:
         header += ("frequency, change %", "damping, change %", "by chance")
         notes = ("The building has changed." if found.change.changed else "No change beyond chance.",)
-    title = f"Modes without a drive: {step}, {found.seconds:g} s of {', '.join(found.channels)}"
+    title = f"Modes from ambient vibration: {step}, {found.seconds:g} s of {', '.join(found.channels)}"
     return Table(title, header, tuple(row(mode) for mode in found.modes), notes)
 
 
@@ -340,7 +340,7 @@ def _all_agreements_table(comparisons: Mapping[str, Comparison]) -> Table:
 
 
 def _clipped_rows(comparisons: Mapping[str, Comparison]) -> tuple[tuple[str, str], ...]:
-    """The tests of which some reading is at the end of its range, or of which nobody knows."""
+    """The tests with readings at the end of a sensor's range, or for which this is unknown."""
     return tuple(
         (f"{step}, {which}", sentence)
         for step, comparison in comparisons.items()

@@ -1,4 +1,4 @@
-"""The units of a report: cm, g and kgf for the paper's rig, mm, m/s² and kN for every other, or those asked for."""
+"""The units of a report: cm, g and kgf for the paper's rig, mm, m/s² and kN for every other, or a given system."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A chunk of an MCAP file: found in a damaged file, unpacked, checked, and and its messages."""
+"""A chunk of an MCAP file: search in a damaged file, decompression, check, and its messages."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ _CHUNK_OPCODE = b"\x06"
 _HEAD_SIZE = 64
 """Bytes that hold it."""
 _SEARCH_SIZE = 1 << 22
-"""Bytes in which a chunk is looked for at a time."""
+"""Bytes that are searched for a chunk at a time."""
 
 MESSAGE_HEAD_SIZE = 31
 """Bytes of a message record before the message: opcode, length, channel, sequence, log time, publish time."""
 LOG_TIME, PUBLISH_TIME = 15, 23
-"""Where the times stand in it."""
+"""Offset of the times in it."""
 
 
 def find_chunk(file: BinaryIO, begin: int, size: int) -> int | None:
-    """Offset of the next chunk that looks whole: its lengths fit each other and the file.
+    """Offset of the next chunk that looks complete: its lengths are consistent with each other and the file.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def unpack(chunk: Chunk) -> bytes:
     Raises
     ------
     DamagedError
-        If it does not unpack, or does not fit its checksum.
+        If it does not unpack, or does not match its checksum.
     """
     size = chunk.uncompressed_size
     if size > LARGEST_CHUNK:
@@ -92,7 +92,7 @@ def unpack(chunk: Chunk) -> bytes:
     except (zstandard.ZstdError, RuntimeError, MemoryError, OverflowError) as error:
         raise DamagedError(f"does not unpack: {error}") from error
     if len(records) != size or (chunk.uncompressed_crc and zlib.crc32(records) != chunk.uncompressed_crc):
-        raise DamagedError("does not fit its checksum")
+        raise DamagedError("does not match its checksum")
     return records
 
 
@@ -208,7 +208,7 @@ class Messages:
         return Messages(self.offset, self.records, self.begins[which], self.sizes[which], self.channel_ids[which])
 
     def payloads(self) -> list[bytes]:
-        """Their bytes as they came from the wire."""
+        """Their serialised bytes."""
         ends = (self.begins + self.sizes).tolist()
         begins = (self.begins + MESSAGE_HEAD_SIZE).tolist()
         return [self.records[begin:end] for begin, end in zip(begins, ends, strict=True)]

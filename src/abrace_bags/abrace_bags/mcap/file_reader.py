@@ -1,8 +1,8 @@
 """One MCAP file, chunk by chunk, with every checksum checked.
 
-What is whole is kept; what is damaged is left out, with a warning. After damage, reading goes on at the next chunk, by
-the summary section; in a file that was cut off, which has no summary section, the next chunk is searched for. For some
-topics or a range of time, only the chunks are read that hold some of them according to their chunk index.
+Undamaged data is kept; damaged data is left out, with a warning. After damage, reading continues at the next chunk,
+found by the summary section; in a file that was cut off, which has no summary section, the next chunk is searched for.
+For some topics or a range of time, only the chunks are read that hold some of them according to their chunk index.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 class McapFile(FileContent):
-    """What is whole in an MCAP file.
+    """The undamaged content of an MCAP file.
 
     Where the file has its index, everything but the messages is read at once; otherwise when `chunks` has come to its
     end, and so is what follows from the messages: `counts`, `warnings`, `uncounted`.
@@ -110,7 +110,7 @@ class McapFile(FileContent):
         Raises
         ------
         DamagedError
-            If it is not whole.
+            If it is incomplete.
         """
         if self.cut is not None and self.cut.offset == offset:
             return self.cut
@@ -169,7 +169,7 @@ class McapFile(FileContent):
             yield messages
 
     def _read_indexed_records(self, file: BinaryIO) -> bool:
-        """Read what the summary section names besides chunks; False, with nothing read, if that is not all whole."""
+        """Read the records other than chunks from the summary section; False, with nothing read, if one is damaged."""
         if self.summary is None or not self.summary.complete:
             return False
         self.table = ChannelTable(dict(self.summary.table.schemas), dict(self.summary.table.channels))

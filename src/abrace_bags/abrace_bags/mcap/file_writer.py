@@ -1,7 +1,7 @@
 """One MCAP file, written record by record, with checksums and a summary section.
 
-Everything that is written goes to the operating system at once, so that it outlives the process; after `sync` it is on
-the disk. The file has its name, and not one that ends in `.part`, from when readers can open it.
+Everything that is written goes to the operating system at once, so that it is kept if the process is killed; after
+`sync` it is on the disk. The name ends in `.part` until readers can open the file.
 
 `mcap`'s own writer makes Python objects of every message: 2.5 microseconds each, too slow for a flood of messages. Here
 a message is two byte strings in the chunk that is being filled; all other records are `mcap`'s.
@@ -70,7 +70,7 @@ class McapWriter:
         self._chunk = ChunkWriter()
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        # as bytes, a chunk takes some 100 of them; as records it took 600, half a gigabyte a day
+        # kept as bytes: some 100 for each chunk, instead of 600 as records, which would be half a gigabyte a day
         self._chunk_index = bytearray()
         self._chunk_count = 0
         self._attachments: list[AttachmentIndex] = []

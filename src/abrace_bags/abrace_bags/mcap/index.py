@@ -63,7 +63,7 @@ class ChannelTable:
             try:
                 self.schemas[schema.id] = schema.name, schema.encoding, schema.data.decode()
             except UnicodeDecodeError as error:
-                raise DamagedError("holds text that is not UTF-8") from error
+                raise DamagedError("contains text that is not UTF-8") from error
         else:
             channel = parse(Channel, body)
             described = self.schemas.get(channel.schema_id, ("", "", ""))
@@ -114,7 +114,7 @@ class ChunkTable:
             start, end, offset, _, length = _CHUNK_INDEX.unpack_from(body)
             ids = np.frombuffer(body, _INDEX_OFFSET, length // 10, _CHUNK_INDEX.size)["id"].tobytes()
         except (struct.error, ValueError) as error:
-            raise DamagedError("has lengths that don't fit") from error
+            raise DamagedError("has inconsistent lengths") from error
         self.starts.append(start)
         self.ends.append(end)
         self.offsets.append(offset)
@@ -173,7 +173,7 @@ def read_summary(file: BinaryIO, size: int) -> SummarySection | None:
     Raises
     ------
     DamagedError
-        If it is missing or does not fit its checksum.
+        If it is missing or does not match its checksum.
     """
     footer_offset = size - len(MCAP0_MAGIC) - _FOOTER_SIZE
     if footer_offset < len(MCAP0_MAGIC):
@@ -226,6 +226,6 @@ def _checked(file: BinaryIO, size: int, checksum: int) -> bytes:
     for position in range(0, size, _BLOCK):
         found = zlib.crc32(file.read(min(_BLOCK, size - position)), found)
     if found != checksum:
-        raise DamagedError("does not fit its checksum")
+        raise DamagedError("does not match its checksum")
     file.seek(begin)
     return file.read(size)

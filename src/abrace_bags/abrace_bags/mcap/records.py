@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MCAP0_MAGIC = b"\x89MCAP0\r\n"
-"""At the beginning and at the end of a file; `mcap.writer`, which has it too, takes long to import."""
+"""MCAP's magic, at the beginning and the end of a file; importing it from `mcap.writer` takes long."""
 
 FACTS_RECORD = "abrace"
 """Name of the metadata record that holds the run's facts."""
@@ -32,8 +32,8 @@ RECORD_HEAD = struct.Struct("<BQ")
 """Before the content of every record: its opcode and the content's length."""
 
 LARGEST_CHUNK = 1 << 29
-"""Bytes of a chunk, packed or unpacked, and of any other record: what claims to be larger is damaged. The logger takes
-no message of more than half as much."""
+"""Greatest size [bytes] of a chunk, compressed or not, and of any other record: a larger one is treated as damaged. The
+logger takes no message of more than half of it."""
 _TRUSTED = 1 << 24
 """Bytes of a record that are read before its lengths are compared with each other."""
 
@@ -49,7 +49,7 @@ Record = TypeVar("Record", bound=McapRecord)
 
 
 class DamagedError(Exception):
-    """What is wrong with a record or a section, as a predicate: `does not fit its checksum`."""
+    """Damage of a record or a section; the text is a predicate, such as `does not match its checksum`."""
 
 
 class _Fields(ReadDataStream):
@@ -62,7 +62,7 @@ class _Fields(ReadDataStream):
         begin = self._count
         self._count += length
         if self._exact and self._count > len(self._body):
-            raise DamagedError("has lengths that don't fit")
+            raise DamagedError("has inconsistent lengths")
         return self._body[begin : self._count]
 
     def read8(self) -> int:  # most fields of chunk indexes, of which a file has thousands
@@ -93,19 +93,19 @@ def parse(kind: type[Record], body: bytes, exact: bool = True) -> Record:
     try:
         record: Record = kind.read(fields)  # type: ignore[attr-defined]
     except struct.error as error:
-        raise DamagedError("has lengths that don't fit") from error
+        raise DamagedError("has inconsistent lengths") from error
     except UnicodeDecodeError as error:
-        raise DamagedError("holds text that is not UTF-8") from error
+        raise DamagedError("contains text that is not UTF-8") from error
     if exact and kind in _EXACT:
         # mcap reads texts by key until their length is reached, or passed
         fits = record_bytes(record)[RECORD_HEAD.size :] == body if kind in _WITH_TEXTS else fields.count == len(body)
         if not fits:
-            raise DamagedError("has lengths that don't fit")
+            raise DamagedError("has inconsistent lengths")
     return record
 
 
 def record_bytes(record: McapRecord) -> bytes:
-    """A record as it stands in a file, opcode and length first."""
+    """A record as bytes of a file, opcode and length first."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()
@@ -153,10 +153,10 @@ def record_head(file: BinaryIO, size: int) -> tuple[int, int]:
     """
     head = file.read(RECORD_HEAD.size)
     if len(head) < RECORD_HEAD.size:
-        raise DamagedError("is not whole")
+        raise DamagedError("is incomplete")
     opcode, length = RECORD_HEAD.unpack(head)
     if length > size - file.tell():
-        raise DamagedError("is not whole")
+        raise DamagedError("is incomplete")
     return opcode, length
 
 
@@ -177,7 +177,7 @@ def _check_length(file: BinaryIO, opcode: int, length: int) -> None:
     else:
         raise DamagedError(f"has {length} bytes, expected at most {_TRUSTED}")
     if expected != length:
-        raise DamagedError("has lengths that don't fit")
+        raise DamagedError("has inconsistent lengths")
     file.seek(begin)
 
 
@@ -196,5 +196,5 @@ def checked_facts(path: Path, texts: Mapping[str, str]) -> dict[str, str]:
     """
     facts = {key: text for key, text in texts.items() if key != CHECKSUM_KEY}
     if texts.get(CHECKSUM_KEY) != facts_checksum(facts):
-        raise AbraceError(f"{path}: the run's facts do not fit their checksum, the file is damaged")
+        raise AbraceError(f"{path}: the run's facts do not match their checksum, the file is damaged")
     return facts

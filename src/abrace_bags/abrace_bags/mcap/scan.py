@@ -1,4 +1,4 @@
-"""An MCAP file from its beginning to its end, whatever is damaged: all chunks that are whole, and what is missing."""
+"""A scan of an MCAP file from beginning to end, despite any damage: all undamaged chunks, and what is missing."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _UNCHUNKED_SIZE = 1 << 20
 
 
 class FileContent:
-    """What is found in an MCAP file.
+    """The content found in an MCAP file.
 
     Parameters
     ----------
@@ -111,12 +111,12 @@ class FileContent:
         Raises
         ------
         DamagedError
-            If it is not whole.
+            If it is incomplete.
         """
         if opcode == Opcode.ATTACHMENT:
             attachment = parse(Attachment, body)
             if int.from_bytes(body[-4:], "little") not in (0, zlib.crc32(body[:-4])):
-                raise DamagedError("is an attachment that does not fit its checksum")
+                raise DamagedError("is an attachment that does not match its checksum")
             self.attachments.append(attachment)
             return
         record = parse(Metadata, body)
@@ -129,7 +129,7 @@ class FileContent:
 
 
 class Scan:
-    """Reads an MCAP file from its beginning to its end, whatever is damaged; what it finds goes to a `found` file."""
+    """Reads an MCAP file from beginning to end, despite any damage; the content goes to `found`."""
 
     def __init__(self, found: FileContent, file: BinaryIO, size: int) -> None:
         self._found, self._file, self._size = found, file, size
@@ -160,7 +160,7 @@ class Scan:
                     yield from self._read_cut_chunk(offset)
                     break
                 self._undamaged = False
-                self._found.warn(f"{where}, reading goes on at byte {resumed}: the record there {error}")
+                self._found.warn(f"{where}, reading continues at byte {resumed}: the record there {error}")
                 self._file.seek(resumed)
         yield from self._finish_chunk()
         if expected is None:
@@ -293,7 +293,7 @@ class Scan:
                 else:
                     checksum = zlib.crc32(body, zlib.crc32(RECORD_HEAD.pack(opcode, len(body)), checksum))
         if expected not in (0, checksum) and not (expected is None and not self._closed()):
-            raise AbraceError(f"{self._found.path}: its messages do not fit their checksum, the file is damaged")
+            raise AbraceError(f"{self._found.path}: its messages do not match their checksum, the file is damaged")
 
     def _closed(self) -> bool:
         """Whether the file ends as one that was closed."""
@@ -324,5 +324,5 @@ def message_offsets_of(body: bytes) -> NDArray[np.int64]:
     """Where messages begin in their chunk, from the `body` of a message index."""
     size = int.from_bytes(body[2:6], "little")
     if len(body) < 6 or size % 16 or size != len(body) - 6:
-        raise DamagedError("has lengths that don't fit")
+        raise DamagedError("has inconsistent lengths")
     return np.frombuffer(body, "<i8", offset=6)[1::2]

@@ -1,4 +1,4 @@
-"""The node `logger`: records topics, raw, to an MCAP bag that the standard tools read.
+"""The node `logger`: records topics, without deserialising, to an MCAP bag that the standard tools read.
 
 abrace run abrace_bags logger --ros-args -p output:=bags/first -p topics:=[response,brace_command]
 """
@@ -29,30 +29,30 @@ from abrace_core.node import AbraceNode, Parameter, RCLError, rcl_message, run
 PARAMETERS = [
     Parameter("output", "", "bag (a new directory) to write", required=True),
     Parameter("topics", ["response", "brace_command", "ground_motion", "/diagnostics"], "topics to record, by name"),
-    Parameter("pattern", "", "regular expression: topics are recorded too in whose full names it is found"),
-    Parameter("all", False, "record all topics but hidden ones"),
+    Parameter("pattern", "", "regular expression; topics whose full names contain a match are recorded, too"),
+    Parameter("all", False, "record all topics except hidden ones"),
     Parameter("facts", [], "facts of the run, each as key=value, written into the bag", element=str),
     Parameter("attachments", [], "files of the run that go into the bag: rig, model, controller, record", element=str),
     Parameter("compression", "zstd", "of each chunk", choices=("zstd", "lz4", "none")),
-    Parameter("split_size", 2**30, "bytes after which the next file begins; 0: however many", minimum=0),
+    Parameter("split_size", 2**30, "bytes after which the next file begins; 0: never", minimum=0),
     Parameter("split_duration", 3600.0, "s after which the next file begins; 0.0: never", minimum=0.0, maximum=1e9),
-    Parameter("snapshot", 0.0, "s to keep in memory, written on `~/snapshot` alone; 0: all", minimum=0.0, maximum=1e6),
+    Parameter("snapshot", 0.0, "s to keep in memory, written only on `~/snapshot`; 0: off", minimum=0.0, maximum=1e6),
     Parameter("autostart", True, "record at once; false: wait for `~/start`"),
     Parameter("flush_interval", 0.1, "s between flushes: what a killed logger may lose", minimum=0.01, maximum=10.0),
-    Parameter("sync_interval", 0.5, "s between syncs: what a power loss may take besides", minimum=0.1, maximum=600.0),
+    Parameter("sync_interval", 0.5, "s between syncs: what a power loss may lose as well", minimum=0.1, maximum=600.0),
     Parameter(
-        "lockstep", False, "log time is that of the rig's samples (their stamps), not the clock's; the rig waits for us"
+        "lockstep", False, "log times are stamps of the rig's samples, not the clock's; the rig waits for the logger"
     ),
 ]
 
 SERVICES = ("start", "stop", "pause", "resume", "split", "snapshot")
 """Each is a method of the node, which returns the answer."""
 DISCOVERY_PERIOD = 0.05
-"""Seconds between looks for topics that have not appeared yet."""
+"""Seconds between searches for topics that have not appeared yet."""
 RECEIVE_PERIOD = 0.005
-"""Seconds between looks for messages, which wait in the middleware; a callback for each would cost more."""
+"""Seconds between polls for messages, which wait in the middleware; a callback for each would cost more."""
 MOST_AT_ONCE = 500
-"""Messages received of a topic before the others' turn: in a flood, too, the logger answers and can be stopped."""
+"""Messages received of a topic in one turn, so that the logger also answers, and can be stopped, in a flood."""
 
 
 @dataclass
@@ -69,7 +69,7 @@ class Topic:
 class Logger(AbraceNode):
     """Records every message of its topics as it comes from the wire.
 
-    Its subscriptions belong to a hidden node: `tick` receives their messages.
+    Its subscriptions belong to a hidden node; `tick` receives their messages.
     """
 
     def __init__(self) -> None:
@@ -108,7 +108,7 @@ class Logger(AbraceNode):
             self.start()
 
     def discover(self) -> None:
-        """Subscribe to topics that have appeared, and anew where a publisher offers less than those before."""
+        """Subscribe to topics that have appeared, and again where a publisher offers a weaker QoS than those before."""
         if self.recording is None or self.exit_code is not None:
             return
         found = dict(self.get_topic_names_and_types())
@@ -145,7 +145,7 @@ class Logger(AbraceNode):
         self.topics[name] = Topic(subscription, topic_id)
 
     def report(self, name: str, error: AbraceError) -> None:
-        """Report a topic that can't be recorded, now and at the end; the others are recorded all the same."""
+        """Report a topic that can't be recorded, now and at the end; the others are still recorded."""
         if self.errors.get(name) == str(error):
             return
         self.errors[name] = str(error)
@@ -187,7 +187,7 @@ class Logger(AbraceNode):
         return not self.paused or topic.subscription.transient_local
 
     def writer(self, topic: Topic) -> Callable[[bytes, int, int], None]:
-        """What writes a topic's messages, or drops them."""
+        """The function that writes a topic's messages, or drops them."""
         return partial(self.open_recording().write, topic.topic_id) if self.records(topic) else lambda *_: None
 
     def open_recording(self) -> Recording:
@@ -270,7 +270,7 @@ class Logger(AbraceNode):
         return "recording"
 
     def split(self) -> str:
-        """Go on in the next file."""
+        """Continue in the next file."""
         self.receive_all().split()
         return "the next messages go to the next file"
 
@@ -298,7 +298,7 @@ class Logger(AbraceNode):
         missing = sorted(given for name, given in self.given_names.items() if name not in self.topics)
         if missing:
             values["not seen yet"] = ", ".join(missing)
-        fault = "the disk is too slow, messages are left out" if overflowed else None
+        fault = "the disk is too slow, messages are dropped" if overflowed else None
         if self.errors:
             fault = "; ".join([*self.errors.values(), *([fault] if fault else [])])
         return fault, "stopped" if recording is None else "paused" if self.paused else "recording", values
@@ -314,7 +314,7 @@ class Logger(AbraceNode):
         finally:
             self.input.destroy_node()
         if self.errors:
-            raise AbraceError(f"{len(self.errors)} topics not recorded as asked: {', '.join(self.errors)}")
+            raise AbraceError(f"{len(self.errors)} topics not recorded as requested: {', '.join(self.errors)}")
 
 
 def main() -> int:

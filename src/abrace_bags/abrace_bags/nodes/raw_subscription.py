@@ -1,6 +1,6 @@
-"""A topic's messages as they come from the wire, with the middleware's times and numbers, received when asked for.
+"""A subscription that receives serialised messages, with the middleware's times and numbers, by polling.
 
-No executor spins the subscription: a callback for each message would cost more than writing it to a bag does.
+No executor spins the subscription: a callback for each message would cost more than writing it to a bag.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Qos
 
     Received = tuple[bytes, dict[str, int]]
-    """The bytes of a message, and what the middleware says of it."""
+    """The bytes of a message, and the middleware's information about it."""
 
 DEPTH = 5000
 """Messages that may wait in the middleware: ten seconds of samples."""
@@ -46,7 +46,8 @@ class RawSubscription:
     publishers
         Of the topic, at least one.
     keep_all
-        Whether reliable publishers that keep all wait for us, rather than old messages giving way to new ones.
+        Whether reliable publishers with the history "keep all" wait for this subscription; otherwise new messages
+        replace old ones.
 
     Attributes
     ----------
@@ -95,7 +96,7 @@ class RawSubscription:
         return count
 
     def follow(self, publishers: Sequence[Publisher]) -> None:
-        """Subscribe anew if one of the `publishers` of the topic now offers less than the subscription asks for.
+        """Subscribe again if one of the topic's `publishers` now offers a weaker QoS than the subscription requests.
 
         Raises
         ------
@@ -127,7 +128,7 @@ class RawSubscription:
             How many those were.
         """
         numbers, missing, largest = self._numbers, self._numbers.missing, self._largest
-        # of transient local topics a new subscription receives the last messages once more
+        # a new subscription to a transient local topic receives the last messages again
         remembered = self._received if self._successor or self.transient_local else None
         messages = self._of_both(self._successor) if self._successor else _taken(self._subscription, most)
         count = 0
@@ -190,7 +191,7 @@ def _taken(subscription: Subscription, most: int) -> Iterator[Received]:
 
 
 def _key(payload: bytes, info: dict[str, int]) -> tuple[int, int]:
-    """What a message is known by that comes to two subscriptions."""
+    """A key that identifies a message received by two subscriptions."""
     return info["source_timestamp"], hash(payload)
 
 

@@ -1,4 +1,4 @@
-"""The node `recover`: a whole bag out of one that was cut off or damaged.
+"""The node `recover`: makes a complete bag of one that was cut off or damaged.
 
 abrace run abrace_bags recover --ros-args -p bag:=bags/broken -p output:=bags/recovered
 """

@@ -1,4 +1,4 @@
-"""The node `replay`: publishes a bag's messages again as they came from the wire, by the clock or in lockstep.
+"""The node `replay`: publishes a bag's messages again, unchanged, by the clock or in lockstep.
 
 abrace run abrace_bags replay --ros-args -p bag:=bags/first -p topics:=[response] -p lockstep:=true
 """
@@ -42,16 +42,16 @@ PARAMETERS = [
     Parameter(
         "topics",
         [],
-        "topics to replay, whole names or ends of them; empty: all but hidden ones and those a rig obeys",
+        "topics to replay, full names or unique endings; empty: all except hidden ones and those that command a rig",
         element=str,
     ),
-    Parameter("rate", 1.0, "bag time over time; not in lockstep", minimum=0.001, maximum=1e6),
+    Parameter("rate", 1.0, "speed, bag time over real time; not in lockstep", minimum=0.001, maximum=1e6),
     Parameter("loop", False, "begin again at the end"),
     Parameter("start_offset", 0.0, "s after the first of the messages, where to begin", minimum=0.0, maximum=1e9),
     Parameter("duration", 0.0, "s of the bag to replay; 0: to the end", minimum=0.0, maximum=1e9),
     Parameter("clock", False, "publish /clock: the bag's time, 50 times a second"),
     Parameter("start_paused", False, "wait for ~/pause or ~/step"),
-    Parameter("lockstep", False, "publish the next response as soon as a brace_command has answered the last"),
+    Parameter("lockstep", False, "publish a response as soon as a brace_command has answered the previous one"),
     Parameter("lockstep_timeout", 10.0, "seconds without an answer that end a lockstep run", minimum=0.1),
 ]
 
@@ -107,7 +107,7 @@ class Replay(AbraceNode):
             raise AbraceError(f"bag {self.parameters.bag}: topic {topic.name}: {rcl_message(error)}") from error
 
     def pause_or_play(self) -> None:
-        """Stop the clock if paused, else play on."""
+        """Stop the clock if paused, otherwise resume."""
         now = time.monotonic()
         if self.paused:
             self.playback.stop_clock(now)

@@ -203,8 +203,8 @@ class AbraceNode(Node):
         if self.get_node_names_and_namespaces().count((self.get_name(), self.get_namespace())) > 1:
             self._namesakes.cancel()
             self.get_logger().error(
-                f"another node is called {self.get_fully_qualified_name()}, expected one: end one of them (one "
-                "that was killed is heard of for 20 s more), or start this one with -r __ns:=/other"
+                f"another node is called {self.get_fully_qualified_name()}, expected one: end one of them (a "
+                "killed node stays visible for 20 s), or start this one with -r __ns:=/other"
             )
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from abrace_core.own_law import Law
 
 PARAMETERS = (
-    Parameter("sample_rate", 500.0, "Hz, of the rig", minimum=1.0),
-    Parameter("force_limit", [24500.0], "N, of one brace of each group", minimum=1.0),
-    Parameter("ramp_time", 0.5, "s, of the fade-in of the force", minimum=0.0),
+    Parameter("sample_rate", 500.0, "Hz, sample rate of the rig", minimum=1.0),
+    Parameter("force_limit", [24500.0], "N, greatest force of one brace of each group", minimum=1.0),
+    Parameter("ramp_time", 0.5, "s, duration of the force's fade-in", minimum=0.0),
 )
 
 

@@ -19,8 +19,8 @@ from abrace_core.errors import AbraceError
 from abrace_core.node.parameters import Parameter
 
 PARAMETERS = (
-    Parameter("thread_priority", 0, "of the loop, SCHED_FIFO; 0: an ordinary process", minimum=0, maximum=98),
-    Parameter("cpu_affinity", [], "processors that the loop keeps to, by number; empty: all", element=int, minimum=0),
+    Parameter("thread_priority", 0, "SCHED_FIFO priority of the loop; 0: normal scheduling", minimum=0, maximum=98),
+    Parameter("cpu_affinity", [], "processors on which the loop runs, by number; empty: all", element=int, minimum=0),
     Parameter("lock_memory", False, "keep all of the node's memory in RAM"),
 )
 

@@ -1,4 +1,4 @@
-"""What a node makes of each sample that it answers: it drops old ones, and holds still while the rig is stopped."""
+"""How a node answers each sample: it drops old samples, and commands zero while the rig is stopped."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RESPONSE_TIMEOUT = 0.1
 """Seconds without a sample, of a rig that samples by the clock, that are a fault."""
 
 DROP, HOLD, RESTART = -3, -2, -1
-"""What to do about a sample: nothing; answer that nothing is wanted; begin anew with this sample."""
+"""What to do about a sample: nothing; answer with zero; restart with this sample."""
 
 
 def _words(state: int) -> str:
@@ -90,7 +90,7 @@ class Answering:
         stamp
             Its sampling instant [ns].
         head
-            What it says of the rig.
+            The rig's state and flags in it.
         cause
             Of the rig's fault or stop.
         now
@@ -125,7 +125,7 @@ class Answering:
         return now - self._last > RESPONSE_TIMEOUT
 
     def look_for_silence(self, now: float) -> None:
-        """A rig that sampled by the clock and has fallen silent is a fault; `now` as for `receive`."""
+        """It is a fault if a rig that sampled in real time has stopped publishing; `now` as for `receive`."""
         if self._heard is not None and now - self._heard > RESPONSE_TIMEOUT:
             self._heard = None
             self.safety.fault(f"no response for more than {RESPONSE_TIMEOUT:g} s")

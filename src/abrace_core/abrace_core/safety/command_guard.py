@@ -1,7 +1,7 @@
 """The limits that every force command passes before it acts: finite, within capacity and rate limit.
 
-A command within the limits passes bit for bit, as identification needs it. On the way to rest the force goes along a
-half cosine to zero within the ramp time.
+A command within the limits passes unchanged, bit for bit, as identification needs it. While ramping down the force goes
+to zero along a half cosine within the ramp time.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class CommandGuard:
     value
         (groups,) [N], the force that acts; zero before the first.
     saturated, rate_limited
-        Whether the last command was limited to capacity, and held back by the rate limit.
+        Whether the last command was limited to the capacity, and by the rate limit.
     saturations
         Commands so far that were limited to capacity.
     rate_limits

@@ -1,7 +1,7 @@
-"""What may act on a rig: one state machine for table and braces together, without ROS.
+"""The state machine that decides what may act on a rig, common to table and braces, without ROS.
 
-A rig, simulated or real, decides with it; whoever commands the rig has one of its own for what it sends, and learns the
-rig's from every sample. What leads where stands in `TRANSITIONS` alone: for every state and every event.
+A rig, simulated or real, decides with it. Each node that commands the rig has one for what it sends, and learns the
+rig's state from every sample. `TRANSITIONS` alone defines the transitions, for every state and every event.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ RAMP_TIME = 0.5
 
 
 class State(IntEnum):
-    """What may act; the numbers are those of Response.msg."""
+    """The states; the numbers are those of Response.msg."""
 
     UNCONFIGURED = 0
     STANDBY = 1
@@ -42,7 +42,7 @@ ACTING = (State.FADING_IN, State.RUNNING)
 
 
 class Event(Enum):
-    """What can happen; the values are its words."""
+    """The events; the values are their texts."""
 
     CONFIGURE = "configure"
     CLEAN_UP = "cleanup"
@@ -64,7 +64,7 @@ _CLEARS = (Event.CLEAR_UNCONFIGURED, Event.CLEAR_INACTIVE, Event.CLEAR_ACTIVE)
 
 
 def _row(state: State, refused: Mapping[Event, str] | None = None, **leads: State) -> dict[Event, State | str]:
-    """The outcomes of all events in a `state`: where some lead, why some are `refused`; the others change nothing."""
+    """The outcomes of all events in a `state`: `leads` to others, or `refused` with a reason; others change nothing."""
     row: dict[Event, State | str] = dict.fromkeys(Event, state)
     row.update({Event[name]: following for name, following in leads.items()})
     row.update(refused or {})
@@ -109,14 +109,15 @@ TRANSITIONS: Mapping[State, Mapping[Event, State | str]] = {
     State.RAMPING_DOWN: _row(
         State.RAMPING_DOWN,
         {
-            **dict.fromkeys(_CLEARS, "still on the way to rest"),
-            **dict.fromkeys((Event.CONFIGURE, Event.CLEAN_UP, Event.ACTIVATE), "still on the way to rest"),
+            **dict.fromkeys(_CLEARS, "still ramping down"),
+            **dict.fromkeys((Event.CONFIGURE, Event.CLEAN_UP, Event.ACTIVATE), "still ramping down"),
         },
         AT_REST=State.STANDBY,
         AT_REST_FAULT=State.LATCHED,
         AT_REST_STOP=State.PROTECTIVE_STOP,
     ),
-    # neither a fault nor a stop is ended by the life cycle: it may change, but for what would let something act
+    # the life cycle ends neither a fault nor a stop: all its transitions are allowed except those that would let
+    # something act
     State.LATCHED: _row(
         State.LATCHED,
         {Event.ACTIVATE: "a fault is latched, expected a person to clear it first"},
@@ -157,7 +158,7 @@ class Output(Protocol):
         """From the next sample on, come to rest."""
 
     def come_to_rest(self, samples: int) -> None:
-        """Go so many samples further on the way to rest."""
+        """Advance the ramp to rest by so many samples."""
 
     def reset(self) -> None:
         """Be at rest."""
@@ -173,7 +174,7 @@ class RigSafety:
     cause
         Of the first fault or stop since a person cleared the last one; empty: none.
     pressed
-        Who presses a stop; empty: nobody.
+        The senders that press a stop; empty: none.
     outputs
         What acts: as given to `configure`.
     """
@@ -196,11 +197,11 @@ class RigSafety:
 
     @property
     def at_rest(self) -> bool:
-        """Whether nothing acts and nothing is on the way to rest."""
+        """Whether nothing acts and no ramp to rest is under way."""
         return self.state not in (*ACTING, State.RAMPING_DOWN)
 
     def _take(self, event: Event) -> None:
-        """Go where an event leads; an AbraceError says why it is refused."""
+        """Take the transition of an event; an AbraceError says why it is refused."""
         outcome = TRANSITIONS[self.state][event]
         if isinstance(outcome, str):
             raise AbraceError(f"{outcome}{f' ({self.cause})' if self.cause else ''}")
@@ -250,9 +251,9 @@ class RigSafety:
         self._take(Event.FAULT)
 
     def stop(self, who: str) -> None:
-        """A stop is pressed by those of whom `who` tells; empty: the last one has been released."""
+        """A stop is pressed by the senders named in `who`; empty: the last one has been released."""
         if who:
-            # who it was may become known later than that it was pressed
+            # the sender's name may become known after its message
             renamed = UNNAMED in self.pressed and self.cause == f"protective stop: {self.pressed}"
             if not self.cause or renamed:
                 self.cause = f"protective stop: {who}"

@@ -82,7 +82,7 @@ class SampleWatch:
         self.problem = None
         if lost > self._longest_gap:
             self.problem = f"{lost} samples lost before sample {sequence}, at most {self._longest_gap} can be bridged"
-        # from the second sample on: a rig may take its time between the first ones
+        # from the second sample on: the first ones of a rig may be delayed
         first, since = self._rate_from = self._rate_from or (sequence, stamp)
         if sequence - first >= _RATE_SAMPLES:
             period = (stamp - since) / (sequence - first)

@@ -1,4 +1,4 @@
-"""Who asks for a stop: stopped while any sender says so, and, where a heartbeat is asked for, while one is silent."""
+"""The senders of a stop: stopped while any of them presses and, if heartbeats are required, while one is missing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 UNNAMED = "a node of unknown name"
-"""A sender whose name has not been heard yet: the middleware tells it after the first message, or never."""
+"""A sender whose name is not known yet: the middleware reports it after the first message, or never."""
 
 
 @dataclass
@@ -21,12 +21,12 @@ class _Sender:
 
 
 class StopSenders:
-    """What each sender of a stop has said last.
+    """The last message of each sender of a stop.
 
     Parameters
     ----------
     heartbeat
-        Seconds within which each sender repeats itself, and within which there has to be one; 0: none has to.
+        Seconds within which each sender must repeat its message, and a sender must exist; 0: off.
     now
         Present time [s].
     """
@@ -37,16 +37,16 @@ class StopSenders:
         self._began = now
 
     def hear(self, sender: Hashable, name: str, pressed: bool, now: float) -> None:
-        """A `sender` of this `name` says, at `now` [s], whether its button is `pressed`."""
+        """Take a message at `now` [s] of a `sender` of this `name`: whether its button is `pressed`."""
         self._senders[sender] = _Sender(name, pressed, now)
 
     def name(self, sender: Hashable) -> str:
-        """Name of a sender that has been heard; empty: it has not, or is UNNAMED."""
+        """Name of a sender that has sent a message; empty: it has not, or is UNNAMED."""
         known = self._senders[sender].name if sender in self._senders else ""
         return "" if known == UNNAMED else known
 
     def rename(self, sender: Hashable, name: str) -> None:
-        """The `name` of a `sender` that has been heard has become known."""
+        """The `name` of a `sender` has become known after its first message."""
         self._senders[sender].name = name
 
     @property
@@ -72,5 +72,5 @@ class StopSenders:
 
     @property
     def senders(self) -> tuple[Hashable, ...]:
-        """All that have been heard."""
+        """All senders so far."""
         return tuple(self._senders)

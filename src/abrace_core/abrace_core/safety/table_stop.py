@@ -127,7 +127,8 @@ class TableStop:
             samples = _gentle(acceleration, velocity, displacement, limits, period)
             if samples:
                 profile = _blend(acceleration, velocity, samples, period)
-            # one that begins at the greatest acceleration may rise a little beyond it, between what `_gentle` looks at
+            # a stop that begins at the greatest acceleration may exceed it slightly, between the samples that `_gentle`
+            # checks
             if not samples or np.abs(profile).max() > max(limits.peak_acceleration, abs(acceleration)):
                 profile = _least_time(acceleration, velocity, limits, period)
         self.profile: list[float] = profile.tolist()

@@ -20,18 +20,24 @@ from abrace_lqg.active_controller import ActiveController
 FILE = "--params-file FILE, the controller file (YAML) that `design` wrote"
 
 PARAMETERS = [
-    Parameter("name", "", "of the controller", required=True, source=FILE),
+    Parameter("name", "", "name of the controller", required=True, source=FILE),
     Parameter("model", "", "model that it was designed with"),
     Parameter("weights", "", "weights that it was designed with"),
     Parameter("margins", "", "predicted stability margins"),
-    Parameter("sample_period", 0.002, "s, of the law and the rig", minimum=1e-6),
+    Parameter("sample_period", 0.002, "s, sample period of the law and the rig", minimum=1e-6),
     Parameter(
         "measured", [], "names of the measured quantities, the law's inputs", element=str, required=True, source=FILE
     ),
     Parameter("commands", [], "names of the commands, the law's outputs", element=str, required=True, source=FILE),
     Parameter("states", 1, "number of states", minimum=1),
     Parameter(
-        "force_limit", [], "N, of one brace of each group", element=float, minimum=1.0, required=True, source=FILE
+        "force_limit",
+        [],
+        "N, greatest force of one brace of each group",
+        element=float,
+        minimum=1.0,
+        required=True,
+        source=FILE,
     ),
     Parameter("a_d", [], "A_d of Eq. (13), row by row", element=float, required=True, source=FILE),
     Parameter("b_d", [], "B_d of Eq. (13), row by row", element=float, required=True, source=FILE),
@@ -53,11 +59,13 @@ PARAMETERS = [
         required=True,
         source=FILE,
     ),
-    Parameter("ramp_time", 0.5, "s, of the fade-in of the force, and of a change to the next controller", minimum=0.0),
+    Parameter(
+        "ramp_time", 0.5, "s, duration of the force's fade-in, and of a change to the next controller", minimum=0.0
+    ),
     Parameter(
         "max_lost", LONGEST_GAP, "lost samples in a row that are bridged; more are a fault", minimum=0, maximum=50
     ),
-    Parameter("next", "", "controller file to change over to without a jump in force", live=True),
+    Parameter("next", "", "controller file to change to without a jump in force", live=True),
 ]
 
 

@@ -19,7 +19,7 @@ LIMITS = {
     "phase_margin": "degrees, least phase margin at each command; 0: no limit",
     "delay_margin": "s, least delay margin at each command; 0: no limit",
     "disk_margin": "least disk margin of all commands and measured quantities at once; 0: no limit",
-    "damping_kept": "least share of its damping that each mode is left with; 0: no limit",
+    "damping_kept": "least share of its damping that each mode keeps; 0: no limit",
 }
 PARAMETERS = [
     Parameter("model", "", "model file (JSON) to design with", required=True),
@@ -27,12 +27,12 @@ PARAMETERS = [
         "check_models", [], "further model files to check the closed loop with, such as the rig's own", element=str
     ),
     Parameter("weights", "lqg3", "weights: a name in the package's configuration or a file", required=True),
-    Parameter("sample_period", 0.002, "s, of the controller", minimum=1e-6),
-    Parameter("force_limit", [24516.625], "N, of one brace of each group", minimum=1.0),
+    Parameter("sample_period", 0.002, "s, sample period of the controller", minimum=1e-6),
+    Parameter("force_limit", [24516.625], "N, greatest force of one brace of each group", minimum=1.0),
     *(Parameter(name, getattr(Limits(), name), text, minimum=0.0) for name, text in LIMITS.items()),
-    Parameter("accept", [], "objections in spite of which the controller is written", choices=OBJECTIONS, element=str),
-    Parameter("draws", DRAWS, "models drawn about each model that has a covariance; 0: none", minimum=0),
-    Parameter("draw_seed", 0, "of these models", minimum=0),
+    Parameter("accept", [], "limits that the controller may violate, by name", choices=OBJECTIONS, element=str),
+    Parameter("draws", DRAWS, "models drawn from the covariance of each model that has one; 0: none", minimum=0),
+    Parameter("draw_seed", 0, "seed of these models", minimum=0),
     Parameter(
         "excitation_rms", 0.25, "m/s^2, rms of the ground acceleration for the predicted responses", minimum=1e-9
     ),

@@ -44,7 +44,7 @@ PARAMETERS = [
     Parameter("noise_duration", 100.0, "s, of each noise", minimum=2.0),
     Parameter("peak_acceleration", 0.980665, "m/s^2, to which each record is scaled", minimum=1e-6),
     Parameter("sample_period", 0.002, "s, of the controllers", minimum=1e-6),
-    Parameter("force_limit", [24516.625], "N, of one brace of each group", minimum=1.0),
+    Parameter("force_limit", [24516.625], "N, greatest force of one brace of each group", minimum=1.0),
     Parameter("scheduler", "", "address of a Dask scheduler; empty: a cluster of this machine's cores"),
     Parameter("output", "", "folder for the results", required=True),
     Parameter(

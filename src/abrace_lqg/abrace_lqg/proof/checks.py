@@ -56,7 +56,7 @@ class EnsembleProof:
     at: float
 
     def __str__(self) -> str:
-        return f"{self.count} models drawn about it"
+        return f"{self.count} models drawn from it"
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Proof:
     accepted
         Names of the objections that were accepted.
     distrusted
-        Of each model that its identification says not to trust, where it says so and why.
+        For each model that its identification says not to trust, in which file and why.
     """
 
     models: tuple[ModelProof, ...]
@@ -147,7 +147,7 @@ class Proof:
             found["untrusted_model"] = "; ".join(self.distrusted)
         unstable = [f"{each.name} ({each.order} states)" for each in self.models if not each.stable]
         unstable += [
-            f"{each.ensemble.unstable} of the {each.ensemble.count} models drawn about {each.name}"
+            f"{each.ensemble.unstable} of the {each.ensemble.count} models drawn from {each.name}"
             for each in self.models
             if each.ensemble is not None and each.ensemble.unstable
         ]
@@ -178,13 +178,13 @@ class Proof:
         ]
 
     def _drawn(self, limit: str) -> list[tuple[float, str]]:
-        """The same of the models drawn about each."""
+        """The same of the models drawn from each."""
         found = []
         for each in self.models:
             one = each.ensemble
             if one is None or one.unstable == one.count:
                 continue
-            where = f"with one of the {one.count} models drawn about {each.name}"
+            where = f"with one of the {one.count} models drawn from {each.name}"
             if limit == "damping_kept":
                 found.append((one.damping_kept, f"by the mode at {one.at:.1f} rad/s {where}"))
             elif limit == "disk_margin":
@@ -202,7 +202,7 @@ class Proof:
         text = f"{self.margins}, disk margin {min([*disk, *(one.disk_margin for one in drawn)]):.2f}"
         if models > 1 or drawn:
             count = sum(one.count - one.unstable for one in drawn)
-            text += f", the least of {models} models" + (f" and {count} drawn about them" if drawn else "")
+            text += f", the least of {models} models" + (f" and {count} drawn from them" if drawn else "")
         least = self.least_damping_kept
         kept = f"; damping kept by every mode: {least:.0%} or more" if np.isfinite(least) else ""
         reasons = self.objections()
@@ -272,7 +272,7 @@ def require(proof: Proof, accept: Collection[str] = ()) -> Proof:
     refused = {name: reason for name, reason in found.items() if name not in accept}
     if refused:
         raise AbraceError(
-            f"design refused: {'; '.join(refused.values())} (accept: [{', '.join(refused)}] to have it all the same)"
+            f"design refused: {'; '.join(refused.values())} (accept: [{', '.join(refused)}] to accept it nevertheless)"
         )
     return replace(proof, accepted=tuple(found))
 

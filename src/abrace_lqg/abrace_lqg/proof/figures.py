@@ -31,7 +31,7 @@ KINDS = (("x", "displacement, stroke"), ("a", "acceleration"), ("fU", "force, co
 """First letters of the quantities that share a unit, and the names of these quantities."""
 
 EVERY = 4
-"""Of the frequencies, at which the models drawn about others are shown."""
+"""Of the frequencies, at which the models drawn from others are shown."""
 
 LEAST_SHOWN = 0.1
 """Damping ratio [%] at which what has less is drawn."""
@@ -58,7 +58,7 @@ def loop_figure(
     controller
         Discrete.
     ensembles
-        Models drawn about some of them: thin lines.
+        Models drawn from the covariance of some of them: thin lines.
     """
     figure = Figure(figsize=(13.0, 7.0), layout="constrained")
     axes: dict[str, Axes] = figure.subplot_mosaic([["nichols", "gain"], ["nichols", "sensitivity"]])

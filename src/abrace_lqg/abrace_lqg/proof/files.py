@@ -1,4 +1,4 @@
-"""Files of a proof: models read by name, and the numbers and figures written beside the controller file."""
+"""Files of a proof: models read by name, and the numbers and figures written into the controller file's folder."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ DISTRUST = "don't trust"
 """Verdict of a `validity.json` on models that no controller is to be designed with."""
 
 DRAWS = 30
-"""Models drawn about one whose covariance is known: the worst of them is beyond what 9 of 10 such models would do."""
+"""Models drawn from the covariance of each model that has one: the worst is worse than 9 of 10 such models."""
 
 
 def load_models(paths: Sequence[str]) -> dict[str, LinearModel]:
@@ -99,7 +99,7 @@ def save_proof(
     controller_file
         NAME.yaml; written are NAME_proof.json, NAME_loop.png, NAME_poles.png and NAME_prediction.png.
     ensembles
-        Models drawn about some of them, by name, as they were given to `prove`.
+        Models drawn from the covariance of some of them, by name, as they were given to `prove`.
 
     Returns
     -------

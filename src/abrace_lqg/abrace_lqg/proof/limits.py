@@ -1,4 +1,4 @@
-"""What a controller has to keep before it is written, and the names of the objections to one that does not."""
+"""The limits that a controller has to keep before it is written, and the names of the objections if it does not."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Least = Annotated[float, pydantic.Field(ge=0)]
 
 
 class Limits(Checked):
-    """The least that a controller has to keep with every model with which its loop is stable; 0: no limit.
+    """The limits for a controller with every model with which its loop is stable; 0: no limit.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Limits(Checked):
     disk_margin
         Radius of the disk of all commands and all measured quantities at once (`DiskMargin.alpha`).
     damping_kept
-        Share of its damping without control that each mode is left with.
+        Share of its damping without control that each mode keeps.
     """
 
     gain_margin: Least = 6.0
@@ -45,7 +45,7 @@ class Limits(Checked):
 
 
 class Wording(NamedTuple):
-    """How a limit is told: name of the objection, the quantity, factor and unit of the numbers, decimals."""
+    """The wording of a limit: name of the objection, the quantity, factor and unit of the numbers, decimals."""
 
     objection: Objection
     quantity: str

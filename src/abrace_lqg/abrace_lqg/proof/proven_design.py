@@ -1,4 +1,4 @@
-"""A controller designed and proven at once, from models or from their files, to a controller file and the proof's."""
+"""Design and proof of a controller in one step, from models or their files to the controller's and proof's files."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class ProvenDesign:
     controller
         As its file has it.
     proof
-        What it will do with each model.
+        Its predicted behaviour with each model.
     models
         By name: that of the design, then those that it was checked with.
     ensembles
-        Models drawn about some of them, by name.
+        Models drawn from the covariance of some of them, by name.
     """
 
     controller: Controller
@@ -95,7 +95,7 @@ class ProvenDesign:
         return pole_figure(self.proof) if what == "poles" else prediction_figure(self.proof)
 
     def save(self, path: Path | str) -> list[Path]:
-        """Write the controller file, for the node `controller`, and the proof's files beside it; returns their paths.
+        """Write the controller file, for the node `controller`, and the proof's files in its folder; returns paths.
 
         Raises
         ------
@@ -144,13 +144,13 @@ def proven_design(
     excitation
         For which rms values are predicted; None: `Excitation()`.
     limits
-        What the controller has to keep; None: `Limits()`.
+        Limits for the controller; None: `Limits()`.
     accept
         Names of objections in spite of which the controller is made.
     covariances
         Of the parameters of some of the models, by name.
     draws, draw_seed
-        Models drawn about each of these, and their seed; 0: none.
+        Models drawn from each of these covariances, and their seed; 0: none.
     distrust
         A sentence for each of the models that says why it is not to be trusted, as from `distrusted`: an objection.
 
@@ -203,8 +203,8 @@ def design_to_file(
     Parameters
     ----------
     model_files
-        The model to design with, then the check models; about those whose file has a covariance others are drawn. A
-        `validity.json` beside one, as `identify` writes it, that says not to trust it is an objection.
+        The model to design with, then the check models; further models are drawn from the covariances in these files.
+        It is an objection if a `validity.json` of `identify` in the same folder says not to trust one.
     output
         The controller file NAME.yaml.
     weights, weights_name, sample_period, force_limit, excitation, limits, accept, draws, draw_seed

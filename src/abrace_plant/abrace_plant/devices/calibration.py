@@ -1,11 +1,11 @@
-"""The calibration file: what a channel's reading in volts or counts is in SI units, and a command in volts or counts.
+"""The calibration file: conversion of readings from volts or counts to SI units, and of commands to volts or counts.
 
     value = sign gain (raw - offset)        of a measured channel, in `unit`
     raw   = offset + sign value / gain      of a commanded one
 
-A filter delays what it passes. At frequencies well below its own f it does so by 1 / (2 pi f) for the first order and
-by sqrt(2) / (2 pi f) for the second (Butterworth), a little less where f is near half the sample rate: a phase lag of
-360 degrees times frequency times delay, which the identified model contains.
+A filter delays its signal: at frequencies well below its own frequency f by 1 / (2 pi f) for the first order and by
+sqrt(2) / (2 pi f) for the second (Butterworth), a little less where f is near half the sample rate. This is a phase lag
+of 360 degrees times frequency times delay, which the identified model contains.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def read_calibration(path: Path | str) -> CalibrationFile:
 
 
 def write_calibration(path: Path | str, file: CalibrationFile) -> None:
-    """Write a calibration `file` anew, beside the old one and then in its place; its comments are lost."""
+    """Replace a calibration `file`, atomically; its comments are lost."""
     write_text(path, yaml.safe_dump(file.model_dump(exclude_defaults=True, mode="json"), sort_keys=False))
 
 
@@ -150,7 +150,7 @@ class Calibration:
         """(channels,) delay and that of the filter at low frequencies [s]."""
 
     def reset(self) -> None:
-        """Let the filters begin anew with the next reading."""
+        """Restart the filters with the next reading."""
         if self._filter is not None:
             self._filter.begun = False
 

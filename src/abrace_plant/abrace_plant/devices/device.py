@@ -1,4 +1,4 @@
-"""What a rig is made of: a device that takes one command and gives one reading at every tick of its hardware."""
+"""The interface to a rig's hardware: a device takes one command and gives one reading at every tick of its hardware."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class DeviceError(AbraceError):
-    """The hardware does not do its part: the message says which device, what was missing, and for how long."""
+    """The hardware fails: the message names the device, what was missing, and for how long."""
 
 
 class Reading(NamedTuple):
@@ -63,7 +63,7 @@ class Device(Protocol):
         ...
 
     def make_safe(self) -> None:
-        """Bring force to zero and the table to rest, as far as it is in the device's hand; raises nothing."""
+        """Bring force to zero and the table to rest, as far as the device can; raises nothing."""
         ...
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
-"""The device file: which kind of device a rig's hardware is, and the device that it describes.
+"""The device file: the kind of device that connects a rig's hardware, and its settings.
 
 A laboratory adds kinds of its own as entry points of the group `abrace.devices`: each is a function that takes the path
-of the device file and the rig, and gives a `Device`.
+of the device file and the rig, and returns a `Device`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ TimeOut = Annotated[float, pydantic.Field(gt=0, le=1)]
 
 
 class DeviceFile(Checked):
-    """What every device file has; `calibration` is a file, its path counted from the device file's folder."""
+    """Keys of every device file; `calibration` is a file, its path relative to the device file's folder."""
 
     kind: str
     calibration: str | None = None

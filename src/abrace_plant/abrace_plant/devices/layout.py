@@ -57,7 +57,7 @@ _SPECIAL = {
 
 
 class Malformed(Exception):  # noqa: N818
-    """A packet that must not be used; its text is the name under which it is counted."""
+    """A packet that must not be used; the error's text is the name under which it is counted."""
 
 
 class Field(Checked):
@@ -86,7 +86,7 @@ class Layout(Checked):
 
 
 class Content(NamedTuple):
-    """What a good packet says."""
+    """The content of a valid packet."""
 
     counter: int
     """The sender's life counter: the number of the tick, or of the command."""
@@ -261,7 +261,7 @@ def _check_fields(fields: list[Field], kind: str, signals: Sequence[str]) -> Non
                 known = ", ".join([*_SPECIAL, *signals])
                 raise AbraceError(f"{where}.field: {name!r}, expected one of {known}")
             if name in seen and name not in ("constant", "unused"):
-                raise AbraceError(f"{where}.field: {name!r} stands twice")
+                raise AbraceError(f"{where}.field: {name!r} appears twice")
             if alone and entry.type not in _SPECIAL[name]:
                 raise AbraceError(f"{where}.type: {entry.type} for {name}, expected {', '.join(_SPECIAL[name])}")
             seen.add(name)

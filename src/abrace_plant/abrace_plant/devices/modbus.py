@@ -1,7 +1,7 @@
 """A device behind Modbus-TCP, such as LabJack's T7: commands are written and readings read at a tick of our own clock.
 
-A device that only answers has no tick of its own, and keeps its outputs when nobody writes any more. So `make_safe`
-brings them to zero itself; what happens when this computer is gone has to be watched at the device (the life counter).
+A device that only answers has no tick of its own, and keeps its outputs when nothing is written any more. So
+`make_safe` brings them to zero itself; in case this computer fails, the device has to watch the life counter.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ RAMP_TIME = 0.5
 OPEN_TIME = 2.0
 """Seconds that `open` waits for a connection."""
 
-# what goes wrong is raised; pymodbus would print it as well
+# errors are raised; pymodbus would also print them
 logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
 
 

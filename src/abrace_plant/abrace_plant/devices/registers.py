@@ -1,4 +1,4 @@
-"""A Modbus register map: which signal stands in which registers, read and written in as few requests as can be."""
+"""A Modbus register map: the registers of each signal, read and written in as few requests as possible."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ CODES = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f
 LONGEST = 120
 """Registers of one request; the protocol allows 125 to read and 123 to write."""
 WIDEST_GAP = 8
-"""Registers between two signals that are read all the same, to save a request."""
+"""Unused registers between two signals that are also read, to save a request."""
 
 
 class Register(Checked):
-    """Where a value stands: its first register, as in requests (from 0 on), and its type."""
+    """The place of a value: its first register, as in requests (from 0 on), and its type."""
 
     register_: Annotated[int, pydantic.Field(ge=0, le=65535, alias="register")]
     type: Literal["int16", "uint16", "int32", "uint32", "float32", "float64"] = "float32"
@@ -52,7 +52,7 @@ class RegisterMap(Checked):
 
 
 class Block:
-    """Values that stand in neighbouring registers, compiled.
+    """Values in neighbouring registers, compiled.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def blocks(
     Raises
     ------
     AbraceError
-        If signals are missing or unknown, or one stands in the registers of another.
+        If signals are missing or unknown, or one overlaps the registers of another.
     """
     expect_entries(entries, names, key)
     sorted_entries = sorted(((i, entries[name]) for i, name in enumerate(names)), key=lambda each: each[1].register_)

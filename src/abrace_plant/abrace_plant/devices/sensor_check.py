@@ -1,11 +1,11 @@
-"""Sensors judged by what they read: at rest their noise, in motion by what each floor's signals say of each other.
+"""Check of the sensors by their readings: at rest by their noise, in motion by comparing the signals of each floor.
 
-A floor's accelerometer reads the second derivative of its displacement plus the table's acceleration, whatever the
-building is; a brace's stroke is `cosine` times the drift of its storey. So with motion enough in a record every channel
-can be predicted from others. A channel that another floor's prediction fits, and its own does not, is swapped; one that
-fits with a minus has the wrong sign. Both are compared in the frequency domain, each frequency weighted by the noise
-that the two sides have there. The braces of a group have the same command and the same drift: their load cells read
-the same force.
+A floor's accelerometer reads the second derivative of its displacement plus the table's acceleration, for any
+building; a brace's stroke is `cosine` times the drift of its storey. So with enough motion in a record every channel
+can be predicted from others. A channel that agrees with another floor's prediction, but not with its own, is swapped;
+one that agrees with reversed sign has the wrong sign. Both are compared in the frequency domain, each frequency
+weighted by the noise that the two sides have there. The braces of a group have the same command and the same drift:
+their load cells read the same force.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
 
 DEAD_TIME = 1.0
-"""Seconds for which a channel that lives does not read the same: its noise moves the last bits."""
+"""Seconds after which an unchanged reading means a dead channel: noise would change the last bits."""
 NOISY = 3.0
 """Times the noise of the rig file."""
 LOWEST = 0.3
-"""Hz below which drift and the ends of the record rule."""
+"""Hz below which drift and the ends of the record dominate."""
 MOTION = 10.0
 """Times the noise that signals must be, in root mean square, to be compared."""
 FITS, BETTER = 0.3, 4.0
@@ -62,7 +62,7 @@ class ChannelCheck:
     drift
         Change over the record of the straight line through it.
     faults
-        What is wrong, in words; empty: nothing.
+        The faults found, as texts; empty: none.
     """
 
     name: str
@@ -77,7 +77,7 @@ class ChannelCheck:
 
 @dataclass(frozen=True)
 class SensorCheck:
-    """What a record says of the sensors.
+    """The state of the sensors, from a record.
 
     Parameters
     ----------
@@ -103,12 +103,12 @@ class SensorCheck:
             row += f" {100 * c.range_use:8.2f} {c.drift:11.3g}  {'; '.join(c.faults)}"
             lines.append(row.rstrip())
         if not self.judged:
-            lines.append("Swapped channels and signs: not judged, the rig hardly moved.")
+            lines.append("Swapped channels and signs: not checked, the rig hardly moved.")
         return "\n".join(lines)
 
 
 def check_sensors(rig: Rig, readings: ArrayLike, ranges: ArrayLike | None = None) -> SensorCheck:
-    """Judge the sensors of a rig by a record.
+    """Check the sensors of a rig by a record.
 
     Parameters
     ----------
@@ -229,11 +229,11 @@ def _compare_cells(
         cross = float(np.vdot(others, own).real)
         who = " and ".join(name for j, name in enumerate(names[:cells]) if j != i)
         if cross**2 < (1 - FITS) * sizes[0] * sizes[1]:
-            faults[i].append(f"apart: does not move as {who}, of the same brace group")
+            faults[i].append(f"apart: does not follow {who} of the same brace group")
         elif cross < 0:
             faults[i].append(f"wrong sign: {names[i]} against {who}")
         elif abs(gain := cross / sizes[1] - 1) > GAIN_ERROR:
-            faults[i].append(f"gain: {1 + gain:.3g} times what {who} says")
+            faults[i].append(f"gain: {1 + gain:.3g} times that of {who}")
 
 
 def _judge(
@@ -259,7 +259,7 @@ def _judge(
     rows, columns = linear_sum_assignment(left)
     for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
         if j != i and left[i, j] < FITS and left[i, i] > BETTER * left[i, j]:
-            faults[i].append(f"swapped: moves as {sources[j]} does, where {sources[i]} was expected")
+            faults[i].append(f"swapped: agrees with {sources[j]}, expected {sources[i]}")
             j_or_i = j
         else:
             j_or_i = i
@@ -267,5 +267,5 @@ def _judge(
         if gain < 0 and left[i, j_or_i] < 1:
             faults[i].append(f"wrong sign: {names[i]} against {sources[j_or_i]}")
         if abs(abs(gain) - 1) > GAIN_ERROR and left[i, j_or_i] < 1:
-            faults[i].append(f"gain: {abs(gain):.3g} times what {sources[j_or_i]} says")
+            faults[i].append(f"gain: {abs(gain):.3g} times that of {sources[j_or_i]}")
     return True

@@ -1,4 +1,4 @@
-"""The simulated rig as a device: its hardware is a model and, by the clock, the computer's own time."""
+"""The simulated rig as a device: its hardware is a model, and its tick, in real time, the computer's clock."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from abrace_plant.rig.sensors import SensorFault
 
 LONGEST_CATCH_UP = 0.01
-"""Seconds of a delay that are caught up, sample after sample. Of a longer one the samples are missed."""
+"""Longest delay [s] after which the samples are caught up one by one; after a longer one they are missed."""
 
 
 def sensor_faults(texts: Sequence[str], rig: Rig) -> tuple[SensorFault, ...]:
@@ -76,7 +76,7 @@ class SimulatedRig:
         stamp = round(self._samples * self._period * 1e9)
         if self._by_the_clock:
             if self._samples == 1:
-                # the middleware takes its time for the first sample; the second one is due a period after that
+                # the middleware is slow with the first sample; the second one is due a period after that
                 self._start = time.monotonic()
             delay = self._start + self._samples * self._period - time.monotonic()
             if delay > 0:
@@ -94,7 +94,7 @@ class SimulatedRig:
         return Reading(values, stamp, 0, missed, late > 0)
 
     def make_safe(self) -> None:
-        """Nothing is left to do: nobody is hurt by a model."""
+        """Do nothing: a model needs no protection."""
 
     def close(self) -> None:
         """Nothing is open."""

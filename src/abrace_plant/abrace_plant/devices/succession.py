@@ -1,7 +1,8 @@
 """Which packet of a target may follow which, and when its sample was taken.
 
 A packet is used if it is newer than the last one by a number of ticks that can have passed, and if its time agrees. So
-one that was delayed, sent twice, overtaken, or whose counter jumps is told from a good one after some that were lost.
+a packet that was delayed, repeated, overtaken, or whose counter jumps is distinguished from a valid one after lost
+ones.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ DRIFT = 1e-4
 
 
 class Succession:
-    """Judges the counters of packets that are good in themselves.
+    """Checks the counters of packets that are valid in themselves.
 
     Two packets of which one follows the other at the next tick begin a succession; nothing is used before.
 
@@ -37,7 +38,7 @@ class Succession:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, with any counter."""
+        """Restart, with any counter."""
         self._last: tuple[int, int | None] | None = None
         self._candidates: dict[int, int | None] = {}
         self.ticks = 0

@@ -1,8 +1,8 @@
-"""A target that sends one UDP packet a tick and takes one: Speedgoat, dSPACE, LabVIEW, Simulink, a board of one's own.
+"""A target that sends and receives one UDP packet a tick: Speedgoat, dSPACE, LabVIEW, Simulink, a custom board.
 
-What arrives is judged packet by packet; what is not from the target, not whole, not finite or not the next sample is
-dropped and counted by its name. Samples are used in their order, one for each exchange: after a hold-up those that wait
-are taken late, one after the other, unless they are older than the time-out.
+Every packet is checked; one that is not from the target, incomplete, not finite or not the next sample is
+dropped and counted by its name. Samples are used in their order, one for each exchange: after a delay the waiting ones
+are processed late, one after the other, unless they are older than the time-out.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ OPEN_TIME = 2.0
 ASKING_PERIOD = 0.01
 """Seconds between commands with zero force that do not enable, which `open` sends."""
 BUFFER = 1 << 20
-"""Bytes of packets that the socket keeps while nobody reads, as far as the system allows."""
+"""Bytes of packets that the socket buffers, as far as the system allows."""
 LARGEST_RESOLUTION = 0.25
 """Of a target's time, in ticks: counter and time have to agree better than to half a tick."""
 LAST_COMMANDS = 3
-"""Packets in which `make_safe` says that commands are not to be followed any more; any of them may be lost."""
+"""Packets with `enable: 0` that `make_safe` sends; several, as packets may be lost."""
 
 
 class UdpFile(DeviceFile):
@@ -84,7 +84,7 @@ def load(path: Path, rig: Rig) -> UdpDevice:
     if samples.resolution > LARGEST_RESOLUTION * 1e9 / rig.sample_rate:
         raise AbraceError(
             f"layout file {path.parent / file.layout}: time in steps of {1e-6 * samples.resolution:g} ms, expected a "
-            f"unit that tells ticks of {rig.sample_rate:g} Hz apart"
+            f"unit that distinguishes ticks of {rig.sample_rate:g} Hz"
         )
     return UdpDevice(file, samples, commands, load_calibration(path, file, rig), rig.sample_rate)
 
@@ -185,7 +185,7 @@ class UdpDevice:
             while self._order.ticks == 0:
                 if time.monotonic() > end:
                     found = self._found_instead(self.dropped)
-                    raise DeviceError(f"{self._name}: no good samples within {OPEN_TIME:g} s; {found}")
+                    raise DeviceError(f"{self._name}: no valid samples within {OPEN_TIME:g} s; {found}")
                 self._send(self._last_outputs, enable=False)
                 self._next(time.monotonic() + ASKING_PERIOD, newest=True)
         except DeviceError:
@@ -287,7 +287,7 @@ class UdpDevice:
             self._poll.poll(1e3 * wait)
 
     def _look(self, deadline: float) -> None:
-        """Judge every packet that has arrived; those that come all the time not beyond the deadline [s]."""
+        """Check every packet that has arrived, in a flood only until the deadline [s]."""
         assert self._socket is not None
         receive, size = self._socket.recvfrom, self._samples.length + 1
         while True:
@@ -329,9 +329,9 @@ class UdpDevice:
                 self._answered, self._heard = content.answered, time.monotonic()
 
     def _found_instead(self, dropped: Counter[str]) -> str:
-        """What was received and not used, in words."""
+        """A text that lists what was received and not used."""
         if not dropped:
-            return f"nothing came from {self._sender[0]}:{self._sender[1]} to port {self.file.local_port}"
+            return f"nothing arrived from {self._sender[0]}:{self._sender[1]} to port {self.file.local_port}"
         names = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in dropped.most_common())
         expected = f"packets of {self._samples.length} bytes, {1e-6 * self._period:g} ms apart, were expected"
         return f"dropped: {names} ({expected})"

@@ -62,7 +62,7 @@ class Zeroing:
         """One sample's `reading` (channels,) in SI units, and all that `acting` on the rig was commanded then."""
         self._readings.append(reading)
         if any(acting):
-            self._moved = f"zeroing: something acts ({', '.join(f'{value:.3g}' for value in acting)})"
+            self._moved = f"zeroing: a command acts ({', '.join(f'{value:.3g}' for value in acting)})"
         if self._moved or len(self._readings) >= self._samples:
             self.over.set()
 
@@ -77,7 +77,7 @@ class Zeroing:
         if self._moved:
             raise AbraceError(self._moved)
         if len(self._readings) < self._samples:
-            raise AbraceError(f"zeroing: {len(self._readings)} samples of {self._samples} came")
+            raise AbraceError(f"zeroing: only {len(self._readings)} of {self._samples} samples arrived")
         new = zeroed(self._file, self._channels, np.array(self._readings), self._which, LIMIT, REST)
         changes = (
             f"{name} {self._file.channels[name].offset:.6g} to {new.channels[name].offset:.6g}" for name in self._which

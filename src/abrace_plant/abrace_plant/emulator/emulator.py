@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
 
 LONGEST_CATCH_UP = 0.02
-"""Seconds of late ticks whose samples are sent all the same, one after the other; more of them are missed."""
+"""Seconds of late ticks whose samples are still sent, one after the other; further ones are missed."""
 LINK_FAULTS = tuple(field.name for field in fields(Faults))
 FREEZE = "freeze"
 

@@ -1,4 +1,4 @@
-"""How an emulated target is reached: what a port is, and the one of UDP packets through two faulty links."""
+"""Ports of an emulated target: the interface, and the port for UDP packets through two faulty links."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ class UdpPort:
             ticks = (content.counter - self._last) % self._commands.modulus
             if ticks == 0:
                 raise Malformed("repeated")
-            # at rest a bridge that has been started anew may count from any number
+            # at rest, a restarted bridge may count from any number
             if self._target.following and ticks > self._commands.modulus // 2:
                 raise Malformed("old")
         self._last = content.counter

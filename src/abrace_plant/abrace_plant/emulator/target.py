@@ -1,7 +1,7 @@
-"""An emulated target: the simulated rig behind its own tick, and the last line of defence that a target has to be.
+"""An emulated target: the simulated rig with its own tick, and the protections that a real target must have.
 
-A target follows commands while they keep coming. When the life counter of the commands has stood still for `LIFE_TIME`,
-or a command says that it is not to be followed, it brings force and table to rest by itself, along a ramp of its own.
+A target follows commands while they keep coming. When the life counter of the commands has not changed for `LIFE_TIME`,
+or a command is not enabled, it brings force and table to rest by itself, along a ramp of its own.
 It follows again once it has been commanded zero.
 """
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
 
 LIFE_TIME = 0.05
-"""Seconds for which the life counter may stand still."""
+"""Seconds for which the life counter may stay unchanged."""
 RAMP_TIME = 0.1
 """Seconds in which the target then brings the force to zero, along half a cosine."""
 BRAKING_TIME = 0.05
@@ -31,7 +31,7 @@ BRAKING_TIME = 0.05
 
 
 STILL = 1e-6
-"""Velocity of the table that is none [m/s]."""
+"""Velocity below which the table counts as being at rest [m/s]."""
 AT_REST = 1e-3
 """Share of capacity and of the table's peak acceleration below which a command counts as zero."""
 
@@ -126,7 +126,7 @@ class Target:
         self._measurement.faults = tuple(parse_fault(text, self._channels, self.period) for text in texts)
 
     def hold(self, ticks: int) -> None:
-        """Let the rig go on for so many `ticks` that the target misses: its outputs stay as they are, unguarded."""
+        """Step the rig for `ticks` that the target misses: its outputs are held, without any check."""
         for _ in range(ticks):
             self.tick += 1
             self._stopped_at += 1
@@ -158,7 +158,7 @@ class Target:
         return self._measurement.read(self._true)
 
     def _falling(self) -> NDArray[np.float64]:
-        """The next values on the way to rest: half a cosine to zero force, and a table that brakes to zero velocity."""
+        """The next values of the ramp: half a cosine to zero force, and a table that brakes to rest."""
         share = min((self.tick - self._stopped_at) * self.period / RAMP_TIME, 1.0)
         acting = self._stopped_from * (1 + math.cos(math.pi * share)) / 2 if share < 1 else np.zeros(len(self._most))
         ground, most = float(self._acting[-1]), float(self._most[-1])

@@ -1,4 +1,4 @@
-"""How regular samples come: their deviations from the clock, beside those of a bare timer on the same machine."""
+"""Timing of samples: their deviations from the clock, and those of a bare timer on the same machine."""
 
 from __future__ import annotations
 
@@ -64,17 +64,17 @@ class Arrivals:
             If there are too few samples, or they are those of more than one run.
         """
         if len(self.sequences) < 3:
-            raise AbraceError(f"{len(self.sequences)} samples on response, expected a rig that runs")
+            raise AbraceError(f"{len(self.sequences)} samples on response, expected a running rig")
         steps = np.diff(np.array(self.sequences, dtype=np.int64))
         if steps.min() < 1:
-            raise AbraceError("the rig began anew while it was measured, expected one run")
+            raise AbraceError("the rig was restarted during the measurement, expected one run")
         period = float(np.median(np.diff(np.array(self.stamps, dtype=np.int64)) / steps)) / 1e9
         between = np.diff(np.array(self.received, dtype=np.int64)) / 1e9
         return Jitter(np.abs(between - period * steps), int((steps - 1).sum())), period
 
 
 def bare_timer(period: float, duration: float) -> Jitter:
-    """How late a thread wakes that does nothing but sleep until each multiple of `period` [s], for `duration` [s]."""
+    """How late a thread wakes that only sleeps until each multiple of `period` [s], for `duration` [s]."""
     due = time.monotonic() + period
     late = np.empty(max(1, round(duration / period)))
     for k in range(len(late)):

@@ -1,4 +1,4 @@
-"""The figure of a measurement of jitter: how many events came later than what."""
+"""The figure of a measurement of jitter: distribution of the deviations."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""The rig in operation, sample by sample and without ROS: inputs checked, the device asked, faults found.
+"""The loop of a rig, sample by sample and without ROS: checks inputs, exchanges samples with the device, finds faults.
 
 Sample k uses the answers to sample k-1: the command acts from t_k on, and the ground has the commanded acceleration at
-t_k. A command that is missing while the force is not zero, two commands for one sample, a value that is not finite, a
-sender's own fault, samples that are late or missed and a device that fails are faults, and a tripped interlock: table
-and braces come to rest together.
+t_k. These are faults, after which table and braces come to rest together: a command that is missing while the force is
+not zero, two commands for one sample, a value that is not finite, a sender's own fault, samples that are late or
+missed, a device that fails, and a tripped interlock.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Sample(NamedTuple):
 
 
 class _Input:
-    """What comes on one input: which samples are answered, the answer that has not acted yet, and the last message."""
+    """State of one input: the last answered sample, the answer that has not acted yet, and the last message."""
 
     def __init__(self, name: str, timeout: int) -> None:
         self.name = name
@@ -82,7 +82,7 @@ class _Input:
         return ""
 
     def hear(self, value: Sequence[float], now: int) -> None:
-        """Note a message, which may be no answer, after sample `now`."""
+        """Note a message, even if it answers no sample, after sample `now`."""
         self.heard, self.last = now, value
 
     def take(self) -> Sequence[float] | None:
@@ -95,7 +95,7 @@ class _Input:
         return now - self.answered > self.timeout
 
     def moving(self, now: int) -> str:
-        """Why the input is not at rest, be its answers too late to act or not; empty: it is."""
+        """Why the input is not at rest, even if its answers are too late to act; empty: it is at rest."""
         if now - self.heard > self.timeout:
             return ""
         if self.fault:
@@ -142,7 +142,7 @@ class RigLoop:
     clipped
         By channel, readings so far at an end of its range.
     ending
-        Whether the run ends, with the first sample at which all is at rest; set by whoever ends it.
+        Set to end the run, with the first sample at which all is at rest.
     ended
         Whether that sample has been taken.
     """
@@ -245,7 +245,7 @@ class RigLoop:
         return self._sample(reading, clipped)
 
     def _look_at(self, reading: Reading, clipped: int) -> None:
-        """Ask the interlocks; what they find stops the rig, and is found anew after a person has cleared it."""
+        """Check the interlocks; a trip stops the rig, and can occur again after a person has cleared it."""
         safety, table = self._safety, self._table.state
         if safety.acting and not self._watched:
             self.interlocks.reset()
@@ -255,9 +255,9 @@ class RigLoop:
             safety.fault(str(trip))
 
     def _look_for_delays(self, missed: int) -> None:
-        """While something acts, a rig that is held up is a fault."""
+        """A delayed loop is a fault while something acts."""
         if missed > self._late_limit:
-            self._safety.fault(f"the rig was held up: {missed} samples missed before sample {self.sequence}")
+            self._safety.fault(f"the rig's loop was delayed: {missed} samples missed before sample {self.sequence}")
         elif self._late_in_a_row > self._late_limit:
             self._safety.fault(f"{self._late_in_a_row} samples in a row were taken late, up to sample {self.sequence}")
 

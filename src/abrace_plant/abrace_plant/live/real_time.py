@@ -1,4 +1,4 @@
-"""A run of a rig by the clock: a thread that acts, asks the device for its next sample, and hands it on."""
+"""A run of a rig in real time: a thread sends commands to the device, waits for its sample, and publishes it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from abrace_plant.live.loop import RigLoop, Sample
 
 ANSWER_SHARE = 0.8
-"""Share of the sample period for which answers to a sample are waited for; later ones act a sample later."""
+"""Share of the sample period within which answers to a sample must arrive; later ones act a sample later."""
 
 
 class RealTimeRun(threading.Thread):
@@ -66,7 +66,7 @@ class RealTimeRun(threading.Thread):
         except BaseException as error:
             self.error = error
         finally:
-            # at rest already, but a target that is told need not wait until the commands stay away
+            # at rest already, but with this message a target need not wait for its time-out
             self._device.make_safe()
             self._device.close()
             self._over()

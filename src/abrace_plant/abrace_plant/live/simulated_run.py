@@ -1,7 +1,7 @@
 """A whole test of the simulated rig, in lockstep and without ROS: what the node `plant` would publish, as a Run.
 
-The parts are the node's own: limits of braces and table, sensors, interlocks. So a test is the same here as in the
-graph, number by number.
+It uses the node's own parts: limits of braces and table, sensors, interlocks. So a test gives the same numbers here as
+in the graph.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The node `check_sensors`: judges a rig's sensors by a record, from the hardware at rest or from a bag.
+"""The node `check_sensors`: checks a rig's sensors by their readings, from the hardware at rest or from a bag.
 
 abrace run abrace_plant check_sensors --ros-args -p rig:=my_rig.yaml -p bag:=bags/at_rest -p output:=results/sensors
 """

@@ -20,17 +20,17 @@ def arguments() -> OneLineParser:
     """The program's arguments."""
     parser = OneLineParser(
         prog="emulator",
-        description="A rig behind a device file, with faults on demand.",
+        description="An emulated rig for a device file, with faults on demand.",
         example="abrace run abrace_plant emulator --rig my_rig.yaml --device my_device.yaml --fault loss=0.01",
     )
     parser.add_argument("--rig", type=Path, required=True, help="rig file; its sample_rate is that of the ticks")
     parser.add_argument("--device", type=Path, required=True, help="device file of the kind udp or modbus")
     parser.add_argument("--bridge", default="127.0.0.1", help="address that samples are sent to (127.0.0.1)")
-    parser.add_argument("--seed", type=int, default=0, help="of the sensors' noise and of what happens by chance (0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the sensors' noise and of random faults (0)")
     parser.add_argument("--fault", action="append", default=[], help="such as loss=0.01, a2=stuck@20 (docs/bridge.md)")
     parser.add_argument("--control", type=int, default=0, metavar="PORT", help="UDP port for faults while it runs")
     parser.add_argument("--duration", type=float, default=float("inf"), help="seconds to run (until stopped)")
-    parser.add_argument("--priority", type=int, default=0, help="of SCHED_FIFO, 1 to 99, where allowed (0: none)")
+    parser.add_argument("--priority", type=int, default=0, help="SCHED_FIFO priority, 1 to 99, where allowed (0: none)")
     parser.add_argument("--log", type=Path, help="JSON file of the counts, written at the end")
     return parser
 

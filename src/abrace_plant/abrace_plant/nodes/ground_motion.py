@@ -172,7 +172,9 @@ class GroundMotion(Commander):
         waiting = self.first_motion is not None and self.played_in_run < 0 and not self.cancelled
         busy = waiting or (self.playback is not None and not self.playback.done)
         reason = (
-            "not active" if not self.active else self.fault or self.answering.held or ("a motion plays" if busy else "")
+            "not active"
+            if not self.active
+            else self.fault or self.answering.held or ("a motion is playing" if busy else "")
         )
         if reason:
             self.get_logger().error(f"play_ground_motion refused: {reason}")

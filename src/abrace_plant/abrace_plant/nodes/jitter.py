@@ -1,4 +1,4 @@
-"""The node `jitter`: how regular a running rig's samples come, beside a bare timer and a bare echo in the same run.
+"""The node `jitter`: the timing of a running rig's samples, compared with a bare timer and a bare echo.
 
 abrace run abrace_plant jitter --ros-args -p duration:=60 -p output:=results/jitter
 """
@@ -35,8 +35,8 @@ PARAMETERS = [
     *real_time.PARAMETERS,
 ]
 SETTLE = 0.5
-"""Seconds that are not measured after nodes have found each other: what was published meanwhile comes all at once, and
-the first message to a node may be held up."""
+"""Seconds that are not measured after nodes have found each other: earlier messages arrive all at once, and the first
+message to a node may be delayed."""
 ECHO = "import sys; from abrace_plant.nodes.jitter import answer; answer(*sys.argv[1:])"
 """The process of its own that answers."""
 
@@ -86,7 +86,7 @@ class JitterNode(AbraceNode):
         patience = self.parameters.patience
         self.spin_until(lambda: received, time.monotonic() + patience)
         if not received:
-            raise AbraceError(f"no sample on {subscription.topic_name} within {patience:g} s, expected a rig that runs")
+            raise AbraceError(f"no sample on {subscription.topic_name} within {patience:g} s, expected a running rig")
         self.spin_until(lambda: False, time.monotonic() + SETTLE)
         for values in (received, stamps, sequences):
             values.clear()

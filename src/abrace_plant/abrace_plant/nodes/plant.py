@@ -23,11 +23,11 @@ PARAMETERS = [
     Parameter(
         "sensor_faults",
         [],
-        "failed channels, as a2=stuck, x3=zero, fa=noise@20.0 (from second 20 on)",
+        "failed channels, such as a2=stuck, x3=zero, fa=noise@20.0 (from second 20 on)",
         element=str,
         live=True,
     ),
-    Parameter("lockstep", False, "sample as soon as every input of wait_for has answered, not by the clock"),
+    Parameter("lockstep", False, "take the next sample when every input of wait_for has answered, not by the clock"),
     Parameter(
         "wait_for",
         [COMMAND],
@@ -40,7 +40,7 @@ PARAMETERS = [
 
 
 SUBSCRIBER_PATIENCE = 30.0
-"""Seconds in which a subscriber that is behind has to take messages; one that was killed is forgotten after 20 s."""
+"""Seconds within which a slow subscriber has to accept messages; DDS removes a killed one after 20 s."""
 
 
 class Plant(RigNode):
@@ -51,13 +51,13 @@ class Plant(RigNode):
         self.lockstep = self.parameters.lockstep
 
     def load(self) -> Rig:
-        """The rig, with braces disconnected as asked."""
+        """The rig, with the braces of the parameter `disconnected_braces` disconnected."""
         rig = super().load().disconnect(self.parameters.disconnected_braces)
         sensor_faults(self.parameters.sensor_faults, rig)
         return rig
 
     def configure(self) -> None:
-        """Load the rig and create the topics; what steps the rig is compiled, or loaded, as well."""
+        """Load the rig and create the topics; also compile, or load, the step of the simulation."""
         super().configure()
         self.make_device()
 
@@ -74,7 +74,7 @@ class Plant(RigNode):
             self.due = time.monotonic()
 
     def tick(self) -> None:
-        """In lockstep take the first sample once all are there, or end because an answer is missing."""
+        """In lockstep take the first sample once all nodes have been found, or end because an answer is missing."""
         assert self.loop is not None
         if self.loop.sequence < 0:
             matched = all(self.inputs[name].get_publisher_count() for name in self.parameters.wait_for)
@@ -109,7 +109,7 @@ class Plant(RigNode):
                 if not self.lockstep:
                     raise
                 if time.monotonic() > given_up:
-                    self.finish(1, f"a subscriber of response took nothing for {SUBSCRIBER_PATIENCE:g} s")
+                    self.finish(1, f"a subscriber of response accepted no message for {SUBSCRIBER_PATIENCE:g} s")
                     return
 
     def answered(self) -> None:

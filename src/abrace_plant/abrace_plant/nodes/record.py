@@ -2,7 +2,7 @@
 
 abrace run abrace_plant record --ros-args -p record:=quake.csv -p unit:=g -p output:=results/quake
 
-It says what `ground_motion` would refuse.
+It also prints whether `ground_motion` would refuse the record.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ def _table(recorded: Motion, played: Motion) -> str:
 
 
 def _demands(rig: str, demands: list[Demand]) -> str:
-    """What the played motion asks of the table beside what it has, and whether it would be refused."""
-    lines = [f"\n{'table of ' + rig:<32}{'asked':>12}{'at [s]':>10}{'has':>12}"]
+    """The played motion's demands on the table, the table's limits, and whether the motion would be refused."""
+    lines = [f"\n{'table of ' + rig:<32}{'demand':>12}{'at [s]':>10}{'limit':>12}"]
     for demand in demands:
         lines.append(
             f"{demand.name + ' [' + demand.unit + ']':<32}{demand.value:12.4g}{demand.time:10.3f}{demand.limit:12.4g}"

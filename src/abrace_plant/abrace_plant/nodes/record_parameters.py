@@ -29,27 +29,30 @@ DEFAULT = Treatment()
 
 RECORD_PARAMETERS = [
     Parameter(
-        "rig", "ncree_three_storey", "whose table plays: a name in the package's configuration or a file", required=True
+        "rig",
+        "ncree_three_storey",
+        "rig with the table: a name in the package's configuration or a file",
+        required=True,
     ),
-    Parameter("sample_rate", 500.0, "Hz, of the rig", minimum=1.0),
+    Parameter("sample_rate", 500.0, "Hz, sample rate of the rig", minimum=1.0),
     Parameter("unit", "", "unit of the acceleration, for a file that does not state it", choices=(*UNITS, "")),
-    Parameter("record_sample_period", 0.0, "s, for a file without times", minimum=0.0),
-    Parameter("channel", "", "which of several in a file: column, variable, channel number, or topic:field of a bag"),
+    Parameter("record_sample_period", 0.0, "s, sample period of a file without times", minimum=0.0),
+    Parameter("channel", "", "for a file with several: column, variable, channel number, or topic:field of a bag"),
     Parameter("baseline", DEFAULT.baseline, "polynomial removed from an acceleration", choices=tuple(BASELINES)),
     Parameter("time_scale", DEFAULT.time_scale, "played duration over the record's; 1.0: as recorded", minimum=0.001),
     Parameter("taper", DEFAULT.taper, "s, length of a linear taper at each end of a record; 0.0: none", minimum=0.0),
     Parameter("low_cut", DEFAULT.low_cut, "Hz, high-pass filter of a record; 0.0: none", minimum=0.0),
     Parameter("band_limit", BAND_LIMIT, "Hz, low-pass filter of a record; 0.0: none", minimum=0.0),
     Parameter("peak_acceleration", DEFAULT.peak_acceleration, "m/s^2, PGA of a motion; 0.0: as recorded", minimum=0.0),
-    Parameter("duration", DEFAULT.duration, "s to which a record is padded or cut; 0.0: whole", minimum=0.0),
+    Parameter("duration", DEFAULT.duration, "s to which a record is padded or cut; 0.0: its own length", minimum=0.0),
 ]
 """All but the parameter `record`, which each node describes itself."""
 MOTION_PARAMETERS = [
     *RECORD_PARAMETERS,
-    Parameter("rms", 0.25, "m/s^2, of white noise or a multisine of the given duration", minimum=0.0),
-    Parameter("band", [0.1, 10.0], "Hz, of white noise or a multisine", minimum=0.0),
-    Parameter("seed", 1, "of white noise or a multisine", minimum=0),
-    Parameter("period", 32.768, "s, of a multisine; whole periods that fit in duration are played", minimum=0.01),
+    Parameter("rms", 0.25, "m/s^2, rms of white noise or a multisine of the given duration", minimum=0.0),
+    Parameter("band", [0.1, 10.0], "Hz, lowest and highest frequency of white noise or a multisine", minimum=0.0),
+    Parameter("seed", 1, "seed of white noise or a multisine", minimum=0),
+    Parameter("period", 32.768, "s, of a multisine; as many as fit in duration are played", minimum=0.01),
     Parameter("lines", "odd", "frequency lines of a multisine; orthogonal to a command on other lines", choices=LINES),
     Parameter("slope", 0.0, "of a multisine: power of the frequency with which amplitudes grow"),
 ]

@@ -1,4 +1,4 @@
-"""The base of a rig as a node, whatever its device: the simulated rig, or hardware behind the bridge."""
+"""The base class of rig nodes: the simulated rig, and hardware behind the bridge."""
 
 from __future__ import annotations
 
@@ -43,17 +43,17 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
 
 STOP_PERIOD = 0.01
-"""Seconds between looks for stop buttons."""
+"""Seconds between searches for stop buttons."""
 
 PEAKS = ("drift", "displacement", "acceleration", "force", "table_displacement")
-"""Interlocks whose greatest values so far stand in the diagnostics, in SI units."""
+"""Interlocks whose greatest values so far are in the diagnostics, in SI units."""
 
 RIG_PARAMETERS = [
     Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
     Parameter("duration", 0.0, "seconds to run, then end; 0: until stopped", minimum=0.0),
-    Parameter("command_timeout", 0.02, "seconds that an input may be missing while it is not zero", minimum=0.002),
+    Parameter("command_timeout", 0.02, "seconds without an input that is not zero; longer is a fault", minimum=0.002),
     Parameter("late_limit", 10, "samples in a row that may be late or missed; more are a fault", minimum=1),
-    Parameter("stop_heartbeat", 0.0, "seconds within which every stop button repeats itself; 0: need not", minimum=0.0),
+    Parameter("stop_heartbeat", 0.0, "seconds within which every stop button must repeat; 0: off", minimum=0.0),
 ]
 
 
@@ -103,7 +103,7 @@ class RigNode(AbraceLifecycleNode):
             GROUND: self.subscribe_to(AccelStamped, GROUND, self.on_ground_motion, STREAM_QOS, raw=True),
         }
         self.responses, self.commands = Responses(), BraceCommands()
-        Interlocks(self.rig)  # what is compiled is loaded now, for half a second, and not when the rig is activated
+        Interlocks(self.rig)  # loads compiled functions for half a second, before the activation
         self.joints = JointState(name=list(joint_names(self.rig)))
 
     def activate(self) -> None:
@@ -118,7 +118,7 @@ class RigNode(AbraceLifecycleNode):
                 self.safety.deactivate()
                 self.safety.rest()
                 raise
-        # later runs have greater numbers, those of a node that is started anew as well
+        # later runs have greater numbers, also those of a restarted node
         self.run_number = max(self.run_number + 1, time.time_ns())
         self.loop = RigLoop(
             rig, self.device, self.safety, given.command_timeout, given.late_limit, self.run_number, self.lockstep
@@ -156,7 +156,7 @@ class RigNode(AbraceLifecycleNode):
         self.due = None
 
     def cleanup(self) -> None:
-        """Own nothing that acts."""
+        """Bring the safety to rest and to unconfigured: nothing acts any more."""
         if not self.safety.at_rest:
             self.safety.deactivate()
             self.safety.rest()
@@ -174,7 +174,7 @@ class RigNode(AbraceLifecycleNode):
         self.tell_rest()
 
     def finish_run(self, counts: str) -> None:
-        """End after the last sample, with what was counted; while a fault is latched with code 1."""
+        """End after the last sample and report the counts; with code 1 while a fault is latched."""
         if self.safety.cause:
             self.finish(1, f"ended with a fault: {self.safety.cause}; {counts}")
         else:
@@ -214,7 +214,7 @@ class RigNode(AbraceLifecycleNode):
         self.response.publish(payload)
 
     def show(self, stamp: Time, displacement: list[float]) -> None:
-        """Publish what viewers show."""
+        """Publish the joint states for viewers, and in lockstep the time."""
         self.joints.header.stamp = stamp
         self.joints.position = displacement
         self.joint_states.publish(self.joints)
@@ -245,7 +245,7 @@ class RigNode(AbraceLifecycleNode):
             self.run.answered()
 
     def look_for_stops(self) -> None:
-        """Hear the stop buttons."""
+        """Take messages of the stop buttons."""
         who = self.stops.who()
         with self.lock:
             if who != self.safety.pressed:

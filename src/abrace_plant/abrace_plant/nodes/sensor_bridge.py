@@ -26,16 +26,16 @@ PARAMETERS = [
     Parameter("zero_channels", [], "channels that ~/zero_sensors zeroes; empty: all", element=str, live=True),
 ]
 ZEROS_TIME = 0.2
-"""Seconds of commands of zero before the first sample: longer than a target takes to come to rest after a bridge that
-was killed. A target follows what comes after a zero alone."""
+"""Seconds of zero commands before the first sample: longer than a target takes to come to rest after a bridge was
+killed. A target follows commands only after a zero command."""
 ZEROS_PATIENCE = 1.0
-"""Seconds after which a device that fails while it is commanded zero is given up."""
+"""Seconds of failure during the zero commands after which the activation is refused."""
 WARM_UP = 5
 """Samples that the thread of a run takes before the first one that is published."""
 ZEROING_TIME = 1.0
 """Seconds of readings whose mean is zeroed."""
 PATIENCE = 2.0
-"""Times as long as that, after which no more readings are waited for."""
+"""The wait for these readings ends after this multiple of their duration."""
 
 
 class SensorBridge(RigNode):
@@ -59,11 +59,11 @@ class SensorBridge(RigNode):
         return rig
 
     def make_device(self) -> Device:
-        """The device, with what its files say now."""
+        """The device, from the present content of its files."""
         return load_device(self.path, self.rig)
 
     def open_device(self) -> None:
-        """Connect, and command zero until the target follows; nothing acts yet, so that a hold-up harms nobody."""
+        """Connect, and command zero until the target follows; nothing acts yet, so that a delay does no harm."""
         self.device.open()
         missing, latest = round(ZEROS_TIME * self.rig.sample_rate), time.monotonic() + ZEROS_PATIENCE
         while missing:
@@ -77,8 +77,8 @@ class SensorBridge(RigNode):
                     raise
 
     def prepare(self) -> None:
-        """Be at a tick of the device: samples have come since it was opened."""
-        with contextlib.suppress(DeviceError):  # which the first sample will find as well
+        """Discard the samples that have arrived since the device was opened, so that the run begins at a tick."""
+        with contextlib.suppress(DeviceError):  # the first sample of the run will meet the same error
             for _ in range(WARM_UP):
                 self.command_zero()
 

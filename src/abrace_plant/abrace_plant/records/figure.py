@@ -33,14 +33,14 @@ Motion = tuple["Record", "Intensity", "ResponseSpectrum"]
 
 
 def record_figure(recorded: Motion, played: Motion, demands: Sequence[Demand] = ()) -> Figure:
-    """A record and the motion that is played of it, in one figure.
+    """A record as read and as played, in one figure.
 
     Parameters
     ----------
     recorded, played
         Each a record, its intensity measures and its response spectra.
     demands
-        What the played motion asks of a table: its peaks of velocity and displacement stand beside the table's limits.
+        Demands of the played motion on a table: the figure compares peak velocity and displacement with the limits.
     """
     figure = Figure(figsize=(13.0, 9.6), layout="constrained")
     grid = figure.add_gridspec(12, 2, width_ratios=(1.45, 1))
@@ -59,7 +59,7 @@ def record_figure(recorded: Motion, played: Motion, demands: Sequence[Demand] = 
     _in_g(first)
     for axis, quantity in zip(histories[1:3], ("velocity", "displacement"), strict=True):
         for demand in (one for one in demands if one.name == quantity):
-            label = f"as played: {100 * demand.value:.3g}, the table has {100 * demand.limit:.3g}"
+            label = f"as played: {100 * demand.value:.3g}, the table's limit is {100 * demand.limit:.3g}"
             axis.lines[-1].set_label(label)
             axis.legend(handles=[axis.lines[-1]], loc="lower right")
     for share in SIGNIFICANT:

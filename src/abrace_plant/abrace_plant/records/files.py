@@ -2,7 +2,7 @@
 
 A directory is a bag. The readers are in `text_formats` (PEER AT2, columns, CSV), `strong_motion_formats` (K-NET,
 KiK-net, CSMIP, COSMOS) and `binary_formats` (MATLAB, bags). Units come from the file's header or from the caller, and
-are never guessed; where both state one they must agree.
+are never guessed; if both state a unit they must agree.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Its file of Northridge is an aftershock (PEER's RSN 1690), not the main shock.
 def read_record(
     path_or_name: Path | str, unit: str | None = None, sample_period: float | None = None, channel: str | None = None
 ) -> Record:
-    """Read a record by its name or from a file, whose ending says its format.
+    """Read a record by its name or from a file, whose ending selects the format.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ def read_record(
     sample_period
         [s]; needed where the file has no times.
     channel
-        Which of several: the name of a column of CSV, the number of a channel of CSMIP or COSMOS, the name of a
-        variable of MATLAB's, `topic:field` of a bag. Needed for a bag, and where there is more than one.
+        Channel of a file with several: the name of a CSV column, the number of a CSMIP or COSMOS channel, the name of a
+        MATLAB variable, `topic:field` of a bag. Needed for a bag, and if a file has more than one.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def read_record(
     with np.errstate(over="ignore"):
         acceleration = reading.acceleration * UNITS[reading.unit or unit or ""]
     if not np.isfinite(acceleration).all():
-        raise record_error(name, "a value beyond all numbers in m/s^2, expected an acceleration")
+        raise record_error(name, "a value that overflows in m/s^2, expected an acceleration")
     return Record(record_name(name), _period(name, reading.sample_period, sample_period), acceleration)
 
 
@@ -123,7 +123,7 @@ def _read(name: str, path: Path, is_folder: bool, channel: str | None) -> Readin
 
 
 def record_name(name: str) -> str:
-    """What a record is called: its known `name`, or that of its file without the ending, or of its folder."""
+    """The name of a record: its known `name`, or that of its file without the ending, or of its folder."""
     path = Path(name)
     return name if name in KNOWN_RECORDS else path.name if path.is_dir() else path.stem
 

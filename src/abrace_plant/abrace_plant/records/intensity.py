@@ -2,7 +2,7 @@
 
 The acceleration is taken to be linear between samples, from rest at the first. Velocity and displacement are the exact
 integrals of that. The integrals of a^2 and |a| are by the trapezoidal rule, which for a^2 of a band-limited motion is
-exact but for the ends.
+exact except at the ends.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Loads a MATLAB file in a process of its own, because SciPy's reader crashes the process on some damaged files.
 
-Run as a program with a path it writes the variables, pickled, to standard output, or one line of what is wrong to
-standard error.
+Run as a program with a path, it writes the variables, pickled, to standard output, or an error in one line to standard
+error.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def load_matlab(path: Path) -> dict[str, Any]:
     ValueError
         If it is none, or damaged: why.
     """
-    # -P: the folder of this module is not among those where SciPy's imports are looked for
+    # -P: SciPy's imports are not searched in the folder of this module
     ran = subprocess.run([sys.executable, "-P", __file__, str(path)], capture_output=True, check=False)
     if ran.returncode < 0:
         raise ValueError("damaged")
@@ -43,7 +43,7 @@ def _main() -> int:
         with warnings.catch_warnings():
             warnings.simplefilter("error", UserWarning)  # "returned data may be corrupt"
             variables = loadmat(sys.argv[1], appendmat=False, simplify_cells=True)
-    except Exception as error:  # scipy raises nearly anything on a file that is damaged or none of MATLAB's
+    except Exception as error:  # SciPy raises almost any exception for a file that is damaged or not MATLAB's
         print(str(error) or type(error).__name__, file=sys.stderr)
         return 1
     sys.stdout.buffer.write(pickle.dumps(variables))

@@ -1,6 +1,6 @@
-"""What the readers of all formats share: units of acceleration, lines of text, and the checks of what was read.
+"""Common parts of the readers of all formats: units of acceleration, lines of text, and checks of the values read.
 
-Whatever the format, a reading has two finite values or more, and its times, where the file has some, equal steps.
+In every format a reading has at least two finite values, and its times, if the file has any, have equal steps.
 """
 
 from __future__ import annotations
@@ -127,8 +127,8 @@ class RecordText:
     name
         Of the record, as the user gave it.
     content
-        The file, in ASCII or an encoding that extends it: numbers are ASCII, and a letter of another encoding in a
-        station's name does no harm.
+        The file, in ASCII or an encoding that extends it: numbers are ASCII, and other letters, as in the name of a
+        station, are ignored.
 
     Raises
     ------

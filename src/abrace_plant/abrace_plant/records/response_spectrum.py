@@ -30,9 +30,9 @@ PERIODS = np.geomspace(0.05, 5.0, 121)
 DAMPING_RATIOS = (0.02, 0.05, 0.10)
 """Of a spectrum that is drawn."""
 STEPS_PER_PERIOD = 40
-"""Least number of steps of a natural period at which the response is looked at: a peak between is 0.3 % higher at most.
+"""Least number of steps per natural period: a peak between two steps is at most 0.3 % higher.
 
-A motion of longer steps is divided into shorter ones, which does not change it, as it is linear between samples.
+Longer steps of a motion are divided, which does not change the motion, as it is linear between samples.
 """
 
 

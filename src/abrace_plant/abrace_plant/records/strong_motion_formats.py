@@ -1,11 +1,11 @@
 """Readers of the formats of strong-motion networks: K-NET and KiK-net, CSMIP volume 2, COSMOS V2.
 
-- `.ew`, `.ns`, `.ud`, and with a 1 (borehole) or 2 (surface) behind: K-NET and KiK-net ASCII. A header of 17 lines,
+- `.ew`, `.ns`, `.ud`, also followed by 1 (borehole) or 2 (surface): K-NET and KiK-net ASCII. A header of 17 lines,
   then counts of the digitiser; the scale factor in the header, `3920(gal)/6182761`, makes them gal (cm/s^2). The counts
-  hold the sensor's offset, which stays in the acceleration.
+  include the sensor's offset, which remains in the acceleration.
 - `.v2`, `.v2c`: CSMIP and COSMOS. A line with the number of points and the unit precedes each block of numbers,
   which are Fortran's: in columns of a stated width (CSMIP's older files state none: 8F10), so that neighbours may
-  touch. Velocity, displacement and the rest of the headers are passed over. COSMOS gives the period in its real header:
+  touch. Velocity, displacement and the rest of the headers are ignored. COSMOS gives the period in its real header:
   value 62 [ms], that of the series, before value 34 [s], that of the recorder. A unit code (COSMOS table 2) must agree
   with the unit in words.
 
@@ -209,7 +209,7 @@ def _csmip_unit(file: RecordText, rest: str, line: int) -> str | None:
 
 
 def _cosmos_unit(file: RecordText, rest: str, line: int) -> str | None:
-    """The unit in words, in code, or in both."""
+    """The unit, stated as text, as a code, or as both."""
     found = _COSMOS_UNIT.search(rest)
     words, code = (found["unit"], found["code"]) if found else ("", None)
     units = [unit_named(words)] * bool(words) + ([_COSMOS_UNIT_CODES.get(int(code))] if code else [])
@@ -263,7 +263,7 @@ def _fields(file: RecordText, first: int, count: int, form: _Format) -> list[tup
 
 
 def _fortran_number(file: RecordText, text: str, line: int, form: _Format) -> float:
-    """The number in a field; without its point it would be a guess what Fortran's implied decimals make of it."""
+    """The number in a field; one without a decimal point is refused, as Fortran's implied decimals are unknown."""
     if not form.integer and "." not in text:
         raise file.error(f"{text.strip()!r}, expected a number with a decimal point", line)
     return file.number(text.replace("D", "E").replace("d", "e"), line)

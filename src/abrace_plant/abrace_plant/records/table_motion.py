@@ -1,7 +1,7 @@
-"""What a table goes through when it plays an acceleration, and the check that it can.
+"""The motion of a table that plays an acceleration, and the check against the table's limits.
 
 The acceleration is linear between samples, as the simulated rig takes it, and zero before the first and after the last.
-Velocity and displacement are its exact integrals from rest. Nothing is corrected: what is commanded is what moves.
+Velocity and displacement are its exact integrals from rest. The commanded motion is not corrected.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ RECORD_REMEDIES = {
     "displacement": "a low_cut (with a taper), a baseline, a smaller peak_acceleration or a shorter time_scale",
     "velocity at the end": "a low_cut (with a taper) or a baseline",
 }
-"""What to do about a record that exceeds each limit."""
+"""Remedies for a record that exceeds a limit, by the limit."""
 SIGNAL_REMEDIES = {
     "acceleration": "a smaller rms",
     "jerk": "a smaller rms, or a band that ends lower",
@@ -40,12 +40,12 @@ SIGNAL_REMEDIES = {
     "displacement": "a band that begins higher, or a smaller rms",
     "velocity at the end": "a longer duration",
 }
-"""The same of white noise and multisines."""
+"""The same for white noise and multisines."""
 
 
 @dataclass(frozen=True)
 class Demand:
-    """What a motion asks of a table in one respect.
+    """The demand of a motion on a table for one quantity.
 
     Parameters
     ----------
@@ -67,11 +67,11 @@ class Demand:
 
     @property
     def exceeded(self) -> bool:
-        """Whether the table has less."""
+        """Whether the demand exceeds the table's limit."""
         return not self.value <= self.limit * (1 + ROUNDING)
 
     def __str__(self) -> str:
-        return f"{self.name} {self.value:.4g} {self.unit} at {self.time:.3f} s, the table has {self.limit:.4g}"
+        return f"{self.name} {self.value:.4g} {self.unit} at {self.time:.3f} s, the table's limit is {self.limit:.4g}"
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class TableMotion:
     displacement: NDArray[np.float64]
 
     def demands(self, table: Table) -> list[Demand]:
-        """What the motion asks of a table, beside the table's limits."""
+        """The demands of the motion on a table, with the table's limits."""
         jerk = np.diff(self.acceleration) / self.sample_period
         found = [
             self._peak("acceleration", "m/s^2", self.acceleration, table.peak_acceleration),
@@ -109,7 +109,7 @@ class TableMotion:
 
 
 def table_motion(acceleration: NDArray[np.float64], sample_rate: float, displacement: float = 0.0) -> TableMotion:
-    """What a table goes through.
+    """The motion of a table.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def check_motion(
     remedies: dict[str, str],
     displacement: float = 0.0,
 ) -> None:
-    """Refuse a motion that asks for more than a table has.
+    """Refuse a motion that exceeds a table's limits.
 
     Parameters
     ----------
@@ -161,6 +161,8 @@ def check_motion(
     if beyond:
         told = "; ".join(f"{demand}, expected {remedies[demand.name]}" for demand in beyond)
         share = min(demand.limit / demand.value for demand in beyond)
-        # not where it rests elsewhere than in the middle: the displacement does not scale then
-        fits = f"; {math.floor(999 * share) / 1000:g} times it would fit" if share > 0.002 and not displacement else ""
-        raise AbraceError(f"ground motion {name} is more than the table has: {told}{fits}")
+        # only if the table starts in the middle: otherwise the displacement does not scale
+        fits = (
+            f"; scaled by {math.floor(999 * share) / 1000:g} it would fit" if share > 0.002 and not displacement else ""
+        )
+        raise AbraceError(f"ground motion {name} exceeds the table's limits: {told}{fits}")

@@ -1,4 +1,4 @@
-"""A record made ready for the table: corrected, scaled in time, filtered, resampled to the rig's rate, scaled to a PGA.
+"""Treatment of a record for the table: baseline, time scale, filters, resampling to the rig's rate, scaling to a PGA.
 
 The paper plays El Centro for 100 s and Kobe for 60 s, both at 0.1 g. White noise for the table comes from
 `abrace_core.table_signals`.
@@ -42,7 +42,7 @@ LOW_CUT_ORDER = 4
 
 @dataclass(frozen=True)
 class Treatment:
-    """What is done to a record before it is played, in the order in which it is done.
+    """How a record is treated before it is played, in the order of the steps.
 
     Times and frequencies are those of the played motion, after the time scaling.
 
@@ -103,7 +103,7 @@ def prepare(record: Record, sample_rate: float, treatment: Treatment | None = No
     sample_rate
         Of the rig [Hz].
     treatment
-        What to do besides resampling; None: nothing.
+        Treatment in addition to resampling; None: none.
 
     Returns
     -------
@@ -156,7 +156,7 @@ def _cut(motion: NDArray[np.float64], samples: int, fade: int) -> NDArray[np.flo
     peak, fall = np.abs(motion).max(), min(fade, samples)
     motion = motion[:samples].copy()
     motion[samples - fall :] *= (1 + np.cos(np.pi * np.arange(1, fall + 1) / max(fall, 1))) / 2
-    # the velocity that the fade leaves goes out in the same time, or in a longer one where that would take too much
+    # the velocity left by the fade is removed over the same time, or a longer one if that needs too much acceleration
     span, corrected = max(fall, 1), motion
     while True:
         bump = 1 - np.cos(2 * np.pi * np.arange(1, span + 1) / span)
@@ -164,7 +164,7 @@ def _cut(motion: NDArray[np.float64], samples: int, fade: int) -> NDArray[np.flo
         corrected[samples - span :] -= motion.sum() / max(bump.sum(), 1.0) * bump
         highest = np.abs(corrected).max()
         if highest <= peak or span == samples:
-            # clipped besides: what scaling leaves beyond the peak is rounding
+            # also clipped: rounding in the scaling may exceed the peak
             return np.clip(corrected * (peak / highest), -peak, peak) if highest > peak else corrected
         span = min(2 * span, samples)
 
@@ -202,8 +202,8 @@ def _cut_low(acceleration: NDArray[np.float64], period: float, low_cut: float) -
     """The acceleration without what is slower than the low cut, by its cosine transform.
 
     A cosine transform continues the acceleration evenly beyond its ends, so the velocity oddly: its zeros at both ends
-    stay zeros, and no filter transient has to be kept beyond them lest velocity and displacement drift (which zero
-    padding needs: Boore and Bommer, 2005).
+    stay zeros, and no filter transient beyond them is needed to avoid drift of velocity and displacement (unlike with
+    zero padding: Boore and Bommer, 2005).
     """
     spectrum = fft.dct(acceleration, type=1)
     frequency = np.arange(1, len(spectrum)) / (2 * (len(spectrum) - 1) * period)

@@ -6,9 +6,9 @@ f is the force in the load cell [N], U the command [N], v the velocity at which 
 held (the bench of Fig. 2) it has unity gain and a lag of tau. In a building the term c v makes the structure's poles
 the zeros of f/U: the control-structure interaction of Fig. 3 (Dyke et al. 1995).
 
-The valve asks for the rate s = (U - f + omega_i g) / tau. What it gives is less: nothing within its deadband, the
-overlap of its spool; no more than its flow limit; and of that the share that the pressure drop leaves, which falls
-with the square root as the oil's force rises towards the supply pressure (Merritt 1967, chapter 5):
+The servo demands the rate s = (U - f + omega_i g) / tau. The valve gives less: zero within its deadband, the overlap of
+its spool; at most its flow limit; scaled by the square root of the relative pressure drop, which falls as the oil's
+force rises towards the supply pressure (Merritt 1967, chapter 5):
 
     rate = clip(s less the deadband) sqrt(1 - sign(s) f_oil / stall_force)
 """
@@ -50,7 +50,7 @@ class Actuator:
     friction
         Of the piston's seals [N], Coulomb's; between oil and load cell.
     deadband
-        Force error to each side that the valve's overlap leaves without answer [N].
+        Force error of either sign to which the valve does not respond, because of its overlap [N].
     stall_force
         Supply pressure times the piston's area [N], at which the valve has no flow left.
     """

@@ -1,4 +1,4 @@
-"""The building in the rig file: the ways to state its stiffness and damping, and what departs from a linear frame."""
+"""The building in the rig file: its forms of stiffness and damping, and the effects beyond a linear frame."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def read_building(content: BuildingContent) -> tuple[Building, list[Number], lis
 def _springs(
     content: BuildingContent, masses: NDArray[np.float64], stiffness: NDArray[np.float64]
 ) -> tuple[Hysteresis, ...]:
-    """The springs that yield, with a frame that stands when all have yielded."""
+    """The springs that yield; the frame must keep positive stiffness when all have yielded."""
     floors = len(masses)
     linear = stiffness.copy()
     for i, spring in enumerate(content.hysteresis):

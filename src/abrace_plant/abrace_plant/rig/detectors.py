@@ -1,4 +1,4 @@
-"""What the interlocks watch, sample by sample: one linear system from readings, command and table to all quantities.
+"""The quantities that interlocks watch, sample by sample: one linear system from readings, command and table.
 
 Most quantities are readings or differences of readings. Four need filters, which are made in continuous time and
 discretised by the bilinear transformation:
@@ -13,11 +13,11 @@ oscillation                rms over `OSCILLATION_TIME` of the force that is fast
                            Butterworth high-pass of second order at `FASTER` times its highest frequency. A loop that
                            is unstable with a local mode ends in a limit cycle that hardly moves the building
 
-F is a band-pass around the building's first frequency (`BAND` times it; a high-pass and a low-pass of second order):
-slower, an accelerometer's drift would count, faster, the local modes, which only accelerometers see, and the noise of
-the displacement, which the two derivatives raise with the square of the frequency. It needs no model of the building,
-so that whatever the building does, also beyond its elastic range, is plausible; a sensor that is dead, turned around,
-swapped with another or wrongly calibrated is not.
+F is a band-pass around the building's first frequency (`BAND` times it; a high-pass and a low-pass of second order): it
+excludes an accelerometer's drift at low frequencies, and at high frequencies the local modes, which only accelerometers
+measure, and the noise of the displacement, which two derivatives amplify with the square of the frequency. It needs no
+model of the building, so that any motion of the building, also beyond its elastic range, is plausible; a sensor that is
+dead, reversed, swapped with another or wrongly calibrated is not.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a rig has that its linear model and exact sensors have not, in words."""
+"""Text for the effects of a rig that its linear model and exact sensors do not contain."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def effects(rig: Rig) -> list[str]:
-    """What the linear model of a `rig` leaves out, each with its amount; none: the model is exact within the limits."""
+    """The effects that the linear model of a `rig` leaves out, with their amounts; none: it is exact."""
     return list(_effects(rig))
 
 

@@ -1,4 +1,4 @@
-"""What a rig's linear model leaves out, as the simulated rig shows it: storeys, pins and valve, table and filters."""
+"""Figure of the effects that a rig's linear model leaves out: storeys, pins and valve, table and filters."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _moved(rig: Rig, ground: NDArray[np.float64], command: NDArray[np.float64]) 
 
 
 def _storeys(axis: Axes, rig: Rig) -> None:
-    """Force of each storey less that of the linear frame, while the table shakes the bare frame in its first mode."""
+    """Force of each storey minus that of the linear frame, while the table shakes the bare frame in its first mode."""
     bare = replace(rig.bare_frame(), table_dynamics=None)
     frequencies, _ = bare.building.modes()
     seconds = np.arange(0.0, SWINGS * 2 * np.pi / frequencies[0], 1 / rig.sample_rate)
@@ -59,14 +59,14 @@ def _storeys(axis: Axes, rig: Rig) -> None:
         axis.plot(
             1e3 * drift[:, storey], beyond[:, storey], lw=0.8, color=COLOURS[storey], label=f"storey {storey + 1}"
         )
-    axis.set_title("storeys, less the linear frame")
+    axis.set_title("storeys, minus the linear frame")
     axis.set_xlabel("drift [mm]")
     axis.set_ylabel("force [N]")
     axis.legend()
 
 
 def _brace(axis: Axes, rig: Rig) -> None:
-    """Load cell against command and stroke of the first brace, held at its end."""
+    """Load cell against command and stroke of the first brace, with its rod blocked."""
     group = rig.braces[0]
     still = Building(np.array([1e15]), np.array([[1e15]]), np.zeros((1, 1)))
     bench = replace(
@@ -77,7 +77,7 @@ def _brace(axis: Axes, rig: Rig) -> None:
     found = _moved(bench, 0 * command, command[:, None])
     axis.plot(1e3 * found[:, 1], found[:, 3], lw=0.8, color=MEASURED)
     axis.set_title("first brace on the bench")
-    axis.set_xlabel("stroke, end held [mm]")
+    axis.set_xlabel("stroke, rod blocked [mm]")
     axis.set_ylabel("force [N]")
 
 

@@ -201,7 +201,7 @@ def _check_braces(content: _Rig) -> None:
     """Backlash is crossed at the speed that the oil column's stiffness gives the valve's flow."""
     for i, group in enumerate(content.braces):
         possible = not group.backlash or group.actuator.velocity_feedback > 0
-        expected = "0 where actuator.velocity_feedback is 0: without stiffness of the oil there is no speed to cross it"
+        expected = "0 if actuator.velocity_feedback is 0: the speed at which it is crossed would be undefined"
         expect(possible, f"braces.{i}.backlash", f"{group.backlash:g} m", expected)
 
 

@@ -1,10 +1,10 @@
-"""Interlocks: limits on what a rig's sensors read, checked once a sample, whoever commands and whatever fails.
+"""Interlocks: limits on the readings of a rig's sensors, checked at every sample, whichever node commands.
 
 Each interlock of `limits.limit_table` watches every channel of its kind. It acts when its value has been exceeded for
 its time without a break; a reading that is not a number trips at once. Some watch quantities of `detectors`, three the
-readings themselves: `stuck` (the same to the last bit), `dead` (less than its own noise) and `clipped` (at the end
-of the sensor's range). A sensor whose noise is less than a step of its converter may rest on one reading: such
-channels are not watched for `stuck` and `dead`.
+readings themselves: `stuck` (the same to the last bit), `dead` (less than its own noise) and `clipped` (at the end of
+the sensor's range). A sensor whose noise is less than a step of its converter may repeat one reading: such channels are
+not watched for `stuck` and `dead`.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class Interlocks:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, with a new run or after a person has cleared a stop: every time counts from the next sample."""
+        """Restart, with a new run or after a person has cleared a stop: all times count from the next sample."""
         self._samples = 0
         self._exceeded[:] = 0
         self._clipped[:] = 0
@@ -188,8 +188,8 @@ class Interlocks:
         Returns
         -------
         Trip or None
-            What asks for a protective stop: the first interlock in the order of the table, as long as its value is
-            exceeded. Those that only warn are in `warnings`.
+            The interlock that requires a protective stop, the first in the order of the table, as long as its value is
+            exceeded. Interlocks that only warn are in `warnings`.
         """
         self._reading[:] = reading
         self._command[:] = command
@@ -221,7 +221,7 @@ class Interlocks:
         return found
 
     def _begin(self) -> None:
-        """The first sample: filters as if it had always been."""
+        """The first sample: filters start in steady state."""
         self._vector[: len(self._at_rest)] = self._at_rest @ self._inputs
         self._references[:] = self._reading
         self._power[:] = 0.0

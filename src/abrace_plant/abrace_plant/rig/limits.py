@@ -1,7 +1,7 @@
 """Limits of the interlocks of a rig: those that its file gives, and for the others what follows from the rig's numbers.
 
-A rig is never without: an interlock that the file does not name has the limit that its sensors' ranges, its actuators'
-capacity and stroke, its storeys' height and its table lead to. The terms are those of a servo-controller's limit
+No rig is without interlocks: one that the file does not name has a limit computed from the sensors' ranges, the
+actuators' capacity and stroke, the storeys' height and the table. The terms are those of a servo-controller's limit
 detectors: a value, a time for which it has to be exceeded, the action, and how it is reset.
 """
 
@@ -66,7 +66,7 @@ NOISE_MARGIN = 6.0
 
 
 def limit_table(rig: Rig, noise: Mapping[str, float]) -> dict[str, Interlock]:
-    """Every interlock of a rig, in the order of `TIMES`: as its file gives it, or from the rig's numbers.
+    """Every interlock of a rig, in the order of `TIMES`: from its file, or computed from the rig's numbers.
 
     Parameters
     ----------
@@ -105,8 +105,8 @@ def check_limits(rig: Rig, noise: Mapping[str, float]) -> None:
         "force": (sensors.force.range, "the sensors' range"),
         "force_error": (2 * capacity, "twice the capacity"),
         "oscillation": (capacity, "the capacity"),
-        "table_displacement": (peak, "what table.peak_acceleration makes in a second and a half"),
-        "table_velocity": (1.5 * peak, "what table.peak_acceleration makes in a second and a half"),
+        "table_displacement": (peak, "what table.peak_acceleration gives in 1.5 s"),
+        "table_velocity": (1.5 * peak, "what table.peak_acceleration gives in 1.5 s"),
         "implausible_acceleration": (sensors.acceleration.range, "the sensors' range"),
         "implausible_stroke": (sensors.stroke.range, "the sensors' range"),
         "noisy": (1.0, "the sensors' range"),
@@ -120,8 +120,8 @@ def check_limits(rig: Rig, noise: Mapping[str, float]) -> None:
         least = NOISE_MARGIN * noise.get(name, 0.0)
         if name in UNITS and interlock.value < least:
             raise AbraceError(
-                f"{key} {unit}, expected {least:.3g} {unit} or more, {NOISE_MARGIN:g} times what the sensors' noise "
-                "alone makes of it"
+                f"{key} {unit}, expected {least:.3g} {unit} or more, {NOISE_MARGIN:g} times its standard "
+                "deviation from the sensors' noise"
             )
 
 
@@ -144,11 +144,11 @@ def _values(rig: Rig) -> dict[str, float]:
     return {
         "drift": min(YIELD_DRIFT * rig.storey_height, displacement),
         "displacement": displacement,
-        # what the first mode has at the greatest displacement, and a quarter more for the others
+        # the first mode's velocity at the greatest displacement, plus a quarter for the other modes
         "velocity": 1.25 * float(frequencies(rig)[0]) * (given.value if given else displacement),
         "stroke": 0.9 * min(sensors.stroke.range, stops),
         "acceleration": 0.95 * sensors.acceleration.range,
-        # a command at the capacity is no fault: more than the actuator can push comes from its stops or its load cell
+        # a command at the capacity is not a fault: a force above it comes from the stops, or from a faulty load cell
         "force": min(1.08 * capacity, 0.95 * sensors.force.range),
         "force_error": 0.25 * capacity,
         "oscillation": 0.25 * capacity,

@@ -107,7 +107,7 @@ class Interlock:
     time
         How long the value has to be exceeded before the interlock acts [s]; at least one sample.
     action
-        "stop": braces and table are ramped down, and stay so; "warn": it is only reported.
+        "stop": braces and table are ramped down, and latched; "warn": it is only reported.
     reset
         "person": only a person clears a stop.
     """
@@ -222,7 +222,7 @@ class Rig:
 
     @cached_property
     def model(self) -> LinearModel:
-        """The continuous model from [w, U] to z, without sensors; exact but for the effects that `effects` lists."""
+        """The continuous model from [w, U] to z, without sensors; exact except for the effects that `effects` lists."""
         n, h, groups = self.floors, len(self.local_modes), self.groups
         dofs = n + h
         mass = np.concatenate([self.building.masses, [mode.mass for mode in self.local_modes]])

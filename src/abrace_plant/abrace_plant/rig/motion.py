@@ -1,18 +1,19 @@
-"""The rig moving sample by sample: its linear model, and all that is not linear in it.
+"""The rig's motion sample by sample: its linear model, and all nonlinear effects.
 
 Within a sample the rig obeys
 
     x' = A x + B u + P n(x, u)
 
-with A and B of the rig's linear model (on its table: `equations`) and n corrections, which are zero while no limit is
-met in a rig that has nothing else:
+with A and B of the rig's linear model (on its table: `equations`) and n corrections. In a rig without nonlinear
+effects they are zero while no limit is reached:
 
-- valve: s = (U - f_cell + omega_i g) / tau, the force's rate that the valve is asked for, becomes what it gives: less
-  its deadband, at most flow_limit, times the root of the pressure drop (`actuator`)
-- capacity: the oil's force rises no further at +-capacity
-- stops: - k (stroke beyond the limit); with the oil's force what the building, load cell and servo feel as f_cell
-- backlash: within the clearance of its pins a brace carries nothing (below)
-- springs of storeys that yield, less what the linear model has in their place (`hysteresis`)
+- valve: s = (U - f_cell + omega_i g) / tau, the demanded rate of the force, is reduced to the rate that the valve
+  gives: minus its deadband, at most flow_limit, times the root of the pressure drop (`actuator`)
+- capacity: the hydraulic force is limited to +-capacity
+- stops: - k (stroke beyond the limit); added to the hydraulic force it is f_cell, which acts on building, load cell
+  and servo
+- backlash: within the clearance of its pins a brace carries no force (below)
+- springs of storeys that yield, minus the linear springs that they replace (`hysteresis`)
 - friction of storeys and seals (below)
 
 It is solved in equal substeps by the exponential Runge-Kutta method ETD2RK (Cox and Matthews 2002): the linear part is
@@ -30,8 +31,8 @@ velocity at the substep's end (time stepping after Moreau 1988 and Jean 1999; se
 What slips loses limit times slip. Seals slip with the building, whatever the pins do; they are between oil and load
 cell.
 
-A table with dynamics of its own stands on its supports until the first acceleration that it is commanded: it is not
-held by its oil in a test that leaves it at rest.
+A table with dynamics is at rest on its supports until its first commanded acceleration: in a test without table motion
+it is not held by its oil columns.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ class RigMotion:
         self._filtered = np.zeros((filters.shape[1], filters.shape[3]))
         self._ground = 0.0
         self._sent = np.zeros((ages.max(initial=0) + 1, rig.groups))
-        # the rig stays at rest; what is compiled at its first call is compiled now and not between two samples
+        # the rig stays at rest; this call compiles the step now, and not between two samples
         self.outputs(0.0, np.zeros(rig.groups))
 
     def outputs(self, ground_acceleration: float, command: NDArray[np.float64]) -> NDArray[np.float64]:

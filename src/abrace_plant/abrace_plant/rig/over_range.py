@@ -1,4 +1,4 @@
-"""Channels at the end of their sensors' range: a reading there says no more than that the truth lies beyond."""
+"""Channels at the end of their sensors' range, where a reading means only that the true value is at or beyond it."""
 
 from __future__ import annotations
 

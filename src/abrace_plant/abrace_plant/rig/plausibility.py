@@ -1,7 +1,7 @@
 """Plausibility checks of a rig's numbers: finds those that are written in another unit than expected.
 
-A number alone is seldom impossible; a ratio without dimension often is. Each rule has one such ratio of the rig's
-numbers (or a single number, where laboratories agree well enough) and a range so wide that no sensible rig is outside
+A single number is seldom impossible; a dimensionless ratio often is. Each rule has one such ratio of the rig's
+numbers (or a single number, where laboratories differ little) and a range so wide that no sensible rig is outside
 it, from a table-top model of three floors of 2 kg to a full-scale frame of ten storeys. The error for a number outside
 its range names the units, or else the factors, that would bring it inside.
 """
@@ -220,7 +220,7 @@ def _building(
 
 
 def _departures(rig: Rig) -> Iterator[_Rule]:
-    """Rules of what a building has that a linear frame has not."""
+    """Rules for the effects of a building beyond a linear frame."""
     building, weight = rig.building, G * rig.building.masses.sum()
     for i, limit in enumerate(building.friction):
         if limit:
@@ -274,7 +274,7 @@ def _braces(rig: Rig, mass: Number) -> Iterator[_Rule]:
 
 
 def _faults_of_a_brace(group: BraceGroup, key: str, capacity: Number) -> Iterator[_Rule]:
-    """Rules of what an ideal brace has not."""
+    """Rules for the effects of a brace beyond an ideal one."""
     actuator = group.actuator
     if group.backlash:
         backlash = Number(f"{key}.backlash", group.backlash, "m")

@@ -1,7 +1,7 @@
-"""What stands between a motion and the converter: transducers and anti-alias filters of finite bandwidth, cross-axis.
+"""Sensor dynamics: transducers and anti-alias filters of finite bandwidth, cross-axis sensitivity.
 
-Both are low-passes: a transducer with its conditioner one of second order with Butterworth's damping (of which the
-phase of force-balance accelerometers and of LVDT demodulators is near), the anti-alias filter a Butterworth low-pass of
+Both are low-passes: a transducer with its conditioner one of second order with Butterworth's damping (close to the
+phase of force-balance accelerometers and of LVDT demodulators), the anti-alias filter a Butterworth low-pass of
 any order (Butterworth 1930), the same in every channel. The gain is 1 at rest and 3 dB less at the bandwidth. They are
 solved in the substeps of the motion with signals that are linear in between (first-order hold).
 

@@ -1,1 +1,1 @@
-"""Responses to an excitation that nobody measured to modes with intervals; whether a building has changed."""
+"""Modes with intervals from responses to unmeasured excitation, and detection of changes of a building."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 NEAR, ALIKE = 0.2, 0.6
 """Modes of two tests are the same where frequencies differ by less, and the modal assurance criterion is more."""
 SIGNIFICANCE = 0.01
-"""Probability that a building which has not changed is said to have, over all its modes."""
+"""Probability of a false alarm over all modes of an unchanged building."""
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ def ambient_test(
             greatest = float(np.abs(held_input(run, command)).max())
             if greatest:
                 raise AbraceError(
-                    f"{run.source}: {command} up to {greatest:g} N, expected 0: an ambient test has no drive"
+                    f"{run.source}: {command} up to {greatest:g} N, expected 0: an ambient test is without commands"
                 )
         piece, found = longest_piece(run)
         warnings += found

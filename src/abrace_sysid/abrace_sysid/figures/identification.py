@@ -43,7 +43,7 @@ def transfer_functions(
     fitted: LinearModel,
     units: Mapping[str, str] | None = None,
 ) -> Figure:
-    """Amplitude and phase of some channels, measured and fitted: Figs. 3, 4 and 5; beside them noise and distortion.
+    """Amplitude and phase of some channels, measured and fitted, with noise and distortion: Figs. 3, 4 and 5.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def transfer_functions(
         phase.plot(frequency[seen], _phase(points)[seen], color=MEASURED, **dots)
         phase.plot(frequency, _phase(curve), color=SIMULATED, lw=1.2)
         error = np.sqrt(uniform_filter1d(np.abs(curve - points) ** 2, max(1, len(frequency) // 100)))
-        amplitude.semilogy(frequency, error, color=ERROR, lw=0.8, label="fitted less measured, rms")
+        amplitude.semilogy(frequency, error, color=ERROR, lw=0.8, label="fitted minus measured, rms")
         lowest = _levels(amplitude, frequency, measured.select([name]))
         amplitude.set_ylim(min(size.min(), np.quantile(error, 0.05), lowest) / 2, size.max() * 2)
         amplitude.set_title(f"{symbol(name)} / {symbol(measured.input)}")
@@ -160,7 +160,7 @@ def reduction_errors(errors: OrderErrors, kept: int, inputs: Sequence[str] = (si
     axis.set_ylabel("rms error of a channel's response [%]")
     axis.grid(alpha=0.3)
     axis.legend(loc="best", fontsize="small")
-    caption = "Error of the reduced model's responses by its number of states: of all outputs the worst and the median."
+    caption = "Error of the reduced model's responses over its number of states: worst and median of all outputs."
     return captioned(figure, caption)
 
 
@@ -202,8 +202,8 @@ def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Fig
     for axis in axes.flat:
         axis.grid(alpha=0.3)
     caption = (
-        "What the model leaves of the measured transfer functions, of the channels of a kind the largest: relative to "
-        "the rms response, and to the standard deviation, where noise leaves 1. Rms over a fortieth of the band."
+        "Residual of the model in the measured transfer functions, the largest of each kind of channels: relative to "
+        "the rms response, and to the standard deviation, where noise gives 1. Rms over a fortieth of the band."
     )
     return captioned(figure, caption)
 
@@ -265,8 +265,8 @@ def stabilization_diagram(found: Stabilization, reference: list[float] | None = 
     axis.set_ylabel("number of poles")
     axis.set_yticks([poles.order for poles in found.orders][:: max(1, len(found.orders) // 10)])
     legend_above(figure, axis, len(kinds))
-    told = "Poles of rising order and what they share with those of the order before; grey: mean amplitude"
-    return captioned(figure, f"{told} from {found.measured.input}; dotted: the modes that were found.")
+    told = "Poles of rising order and their agreement with those of the previous order; grey: mean amplitude"
+    return captioned(figure, f"{told} from {found.measured.input}; dotted: the modes found.")
 
 
 def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:

@@ -76,7 +76,7 @@ Pair = tuple[float, float, float, float]
 
 
 def _rows(sets: Sequence[tuple[str, Sequence[Pair], dict[str, Any]]], zero: str, centres: Sequence[Pair]) -> Figure:
-    """A row for each of the `centres`, of the set called `zero`: where the pairs of all sets lie beside it."""
+    """A row for each of the `centres`, of the set called `zero`: the differences of the pairs of all sets from it."""
     figure = Figure(figsize=(9.0, 1.4 + 0.55 * len(centres)), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
     for axis, quantity, title in zip(axes, (0, 1), ("frequency", "damping ratio"), strict=True):
@@ -92,7 +92,7 @@ def _rows(sets: Sequence[tuple[str, Sequence[Pair], dict[str, Any]]], zero: str,
             else:
                 axis.plot(x, y, **given)
         axis.axvline(0.0, color="k", lw=0.6)
-        axis.set_xlabel(f"{title} less that of {zero} [{unit}]")
+        axis.set_xlabel(f"{title} minus that of {zero} [{unit}]")
         axis.grid(axis="x", alpha=0.3)
         axis.margins(x=0.08)
     axes[0].set_yticks(range(len(centres)), [f"{w:.4g} rad/s\n{100 * z:.3g} %" for w, z, _, _ in centres])

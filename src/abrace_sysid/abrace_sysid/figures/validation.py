@@ -27,7 +27,7 @@ def time_histories(
     units: UnitSystem = "paper",
     tested: str = "",
 ) -> Figure:
-    """Measured against simulated responses and what they differ by, until the building is at rest: Fig. 6.
+    """Measured and simulated responses and their difference, until the building is at rest: Fig. 6.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def time_histories(
         axis.set_xlabel("time [s]")
     named = " and ".join(channels)
     under = f" under {tested}" if tested else ""
-    caption = f"{named}{under}: measured, simulated by the identified model, and simulated less measured."
+    caption = f"{named}{under}: measured, simulated by the identified model, and simulated minus measured."
     return captioned(figure, caption)
 
 
@@ -109,6 +109,6 @@ def _history(above: Axes, below: Axes, comparison: Comparison, j: int, factor: f
     measured, simulated = factor * comparison.measured[:, j], factor * comparison.simulated[:, j]
     above.plot(comparison.time, measured, color=MEASURED, lw=1.6, label="measured")
     above.plot(comparison.time, simulated, color=SIMULATED, lw=1.0, ls="--", label="simulated")
-    below.plot(comparison.time, simulated - measured, color=ERROR, lw=0.6, label="simulated less measured")
+    below.plot(comparison.time, simulated - measured, color=ERROR, lw=0.6, label="simulated minus measured")
     for axis in (above, below):
         axis.grid(alpha=0.3)

@@ -1,4 +1,4 @@
-"""The figure that is to be read first: can the model be trusted, and if not, why not and what to do."""
+"""The figure that is to be read first: whether the model can be trusted, and if not, why not and what to do."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MOST_LINES = 12
 
 
 def validity_figure(validity: Validity, residuals: Sequence[Residual]) -> Figure:
-    """Verdict, checks beside their limits, residual spectra beside noise, and what to do.
+    """Verdict, checks with their limits, spectra of residual and noise, and what to do.
 
     Parameters
     ----------
@@ -66,9 +66,7 @@ def validity_figure(validity: Validity, residuals: Sequence[Residual]) -> Figure
         if sentences:
             bottom.text(place, 0.97, title, fontsize=10, fontweight="bold", va="top")
             bottom.text(place, 0.88, _wrapped(sentences, width), fontsize=8.5, va="top", linespacing=1.3)
-    return captioned(
-        figure, "Whether the model can be trusted: each check beside its limit, and what the model leaves."
-    )
+    return captioned(figure, "Whether the model can be trusted: each check with its limit, and the model's residual.")
 
 
 def worst_of_each(findings: Sequence[Finding]) -> list[Finding]:

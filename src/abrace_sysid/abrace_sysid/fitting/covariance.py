@@ -93,7 +93,7 @@ def _scatter(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Of the scores of tests of one kind: by lines, by pieces, and how many pieces are free; infinite: there are none.
 
-    Where there are too few pieces those by lines stand for them.
+    With too few pieces those by lines are used instead.
     """
     whole, by_test = [], []
     for i in tests:

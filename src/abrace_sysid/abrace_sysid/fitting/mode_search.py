@@ -36,7 +36,7 @@ LEAST_REACH = 8
 """The same at least, in lines."""
 
 ABOVE, ABOVE_DAMPING = 1.4, 0.01
-"""Frequency over the band's highest, and damping ratio, of the pairs that stand for all modes above it."""
+"""Frequency over the band's highest, and damping ratio, of the pairs that represent all modes above it."""
 
 REFUSALS = 12
 """So many candidates in a row that do not help end the search."""
@@ -48,7 +48,7 @@ ALIKE = 0.5
 """Greatest distance of the poles that both parts give for a mode, over the sum of their decay rates."""
 
 HEAVIEST = 0.9
-"""Greatest damping ratio: beyond it a pair is hardly to be told from two real poles."""
+"""Greatest damping ratio: beyond it a pair can hardly be distinguished from two real poles."""
 
 TRIAL_ITERATIONS = 30
 """Most steps of a fit with a candidate: one that is a mode takes some ten."""

@@ -46,8 +46,8 @@ class Observation:
     poles
         The poles that are excited in this test, as indices into those of all tests; None for all of them.
     weight
-        How much the test counts beside others: less than 1 where its channels' noise is correlated, since together they
-        tell less than as many independent ones.
+        Weight of the test among others: less than 1 where its channels' noise is correlated, since together they tell
+        less than as many independent ones.
     """
 
     source: str

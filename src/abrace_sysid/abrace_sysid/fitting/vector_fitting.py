@@ -34,7 +34,7 @@ CONVERGED = 1e-6
 """Relative movement of every pole that ends the iterations."""
 
 START_CHANNELS, RANDOM_CHANNELS = 12, 6
-"""Sums of channels that starting poles are looked for in, where there are more channels: the strongest, and random."""
+"""Number of sums of channels in which starting poles are searched, if there are more channels: strongest and random."""
 
 START_DAMPING = 0.01
 
@@ -45,7 +45,7 @@ APART = 0.7
 """Ratio of the slow poles of several servos, to start from."""
 
 MORE = 3
-"""Orders beyond the least one at which starting poles are looked for."""
+"""Orders beyond the least one at which starting poles are searched."""
 
 
 @dataclass(frozen=True)

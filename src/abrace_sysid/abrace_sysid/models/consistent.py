@@ -1,4 +1,4 @@
-"""The consistent model that the paper lacked: one set of poles for every input, each motion of the rig once.
+"""The consistent model: one set of poles for every input, so that each mode of the rig appears once.
 
 Eqs. (6) and (7) give the superposed model each building pole three times, from three fits. The command controls none of
 the table's copies, and in closed loop the prediction is right only as far as the parts cancel: their differences

@@ -38,7 +38,7 @@ def servo_lags(estimate: PoleEstimate, highest: float) -> dict[str, float]:
 def without_lags(estimate: PoleEstimate, highest: float) -> PoleEstimate:
     """The same modes, each servo's lag a delay: fewer states, and the same response far below the lag's frequency.
 
-    What a pole p is driven by e^(-s t) u with e^(p t) in the drive is what u drives at s = p.
+    At s = p, driving a pole p by e^(-s t) u with an additional factor e^(p t) is the same as driving it by u.
 
     Parameters
     ----------

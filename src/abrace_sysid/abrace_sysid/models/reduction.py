@@ -1,8 +1,8 @@
 """Balanced truncation (Moore 1981) of the superposed model: Eq. (9) of the paper.
 
-In SI units the Gramians of the table's motion swamp those of the command by a factor of 1e9. So inputs and outputs are
-scaled first: each input by its rms in the tests, each output by its rms under such inputs.
-The superposed model has each building pole three times; copies that coincide are cut.
+In SI units the Gramians of the table's motion are 1e9 times those of the command. So inputs and outputs are scaled
+first: each input by its rms in the tests, each output by its rms under such inputs. The superposed model has each
+building pole three times; copies that coincide are cut.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def balanced_truncation(model: LinearModel, states: int, scales: Scales) -> Redu
     """
     if model.sample_period or not model.is_stable():
         raise AbraceError("balanced truncation: a continuous, stable model was expected")
-    # metres and newtons side by side are many powers of ten: what is lost to rounding is lost from the least states
+    # states in metres and in newtons differ by many powers of ten: rounding affects only the least states
     _, (size, _) = linalg.matrix_balance(model.a, permute=False, separate=True)
     model = replace(model, a=model.a * size / size[:, None], b=model.b / size[:, None], c=model.c * size)
     b, c = model.b * scales.inputs, model.c / scales.outputs[:, None]

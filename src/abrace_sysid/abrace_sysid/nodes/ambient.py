@@ -1,4 +1,4 @@
-"""The node `ambient`: modes from bags of tests without any drive, and whether the building has changed.
+"""The node `ambient`: modes from bags of tests without commands, and whether the building has changed.
 
 abrace run abrace_sysid ambient --ros-args -p bag:=bags/after -p before:=bags/before -p output:=results/ambient
 """
@@ -27,7 +27,7 @@ PARAMETERS = [
     Parameter("before", [], "bags of an earlier test, to compare with; empty: none", element=str),
     Parameter("channels", [], "outputs to use, as a1; empty: all accelerations", element=str),
     Parameter("band", [0.3, 20.0], "Hz, lowest and highest frequency of modes", minimum=0.0),
-    Parameter("highest_order", 40, "poles that are tried at most", minimum=4, maximum=200),
+    Parameter("highest_order", 40, "greatest number of poles that is tried", minimum=4, maximum=200),
     Parameter("output", "", "folder for ambient.json and figures", required=True),
 ]
 

@@ -14,16 +14,16 @@ from abrace_core.node.brace_commander import BraceCommander
 from abrace_sysid.excitation_signal import excitation_signal
 
 PARAMETERS = [
-    Parameter("sample_rate", 500.0, "Hz, of the rig", minimum=1.0),
+    Parameter("sample_rate", 500.0, "Hz, sample rate of the rig", minimum=1.0),
     Parameter("signal", "white_noise", "white_noise or multisine", choices=("white_noise", "multisine")),
     Parameter("duration", 300.0, "s of noise; a multisine has as many whole periods as fit", minimum=2.0),
-    Parameter("rms", 1800.0, "N, of the force of one brace", minimum=0.0),
+    Parameter("rms", 1800.0, "N, rms of the force of one brace", minimum=0.0),
     Parameter("band", [0.0, 30.0], "Hz, lowest and highest frequency", minimum=0.0),
-    Parameter("seed", 2, "of the signal; white noise of brace group j has seed + j", minimum=0),
-    Parameter("period", 32.768, "s, of a multisine", minimum=0.01),
-    Parameter("lines", "odd", "of a multisine; brace groups share them in turn", choices=LINES),
-    Parameter("slope", 0.0, "of a multisine: amplitudes go with frequency to this power"),
-    Parameter("force_limit", [24500.0], "N, of one brace of each group", minimum=1.0),
+    Parameter("seed", 2, "seed of the signal; white noise of brace group j has seed + j", minimum=0),
+    Parameter("period", 32.768, "s, period of a multisine", minimum=0.01),
+    Parameter("lines", "odd", "frequency lines of a multisine; brace groups share them in turn", choices=LINES),
+    Parameter("slope", 0.0, "of a multisine: power of the frequency with which amplitudes grow"),
+    Parameter("force_limit", [24500.0], "N, greatest force of one brace of each group", minimum=1.0),
 ]
 
 

@@ -43,39 +43,47 @@ TRANSFER_FUNCTION = ("method", "segment", "window", "overlap", "estimator", "ord
 
 PARAMETERS = [
     Parameter("table", [], "bag, or list of bags, of tests with noise or a multisine on the table", element=str),
-    Parameter("command", [], "likewise with the command; the same bags where both were excited", element=str),
-    Parameter("output", "", "folder for models, poles and figures", required=True),
-    Parameter("fit", DEFAULTS.fit, "of the poles", choices=FIT_METHODS),
-    Parameter("method", METHOD.method, "of the transfer functions", choices=get_args(Method)),
-    Parameter("segment", METHOD.segment, "samples in a piece of Welch's method; 0: by the record's length", minimum=0),
-    Parameter("window", METHOD.window, "of Welch's method, by SciPy's name"),
-    Parameter("overlap", METHOD.overlap, "of neighbouring pieces of Welch's method", minimum=0.0, maximum=0.99),
-    Parameter("estimator", METHOD.estimator, "of Welch's method", choices=get_args(Estimator)),
-    Parameter("order", METHOD.order, "of the local methods' polynomials; 0: 2 rational, 4 polynomial", minimum=0),
-    Parameter("half_width", METHOD.half_width, "lines to each side of the local methods; 0: by the record", minimum=0),
-    Parameter("table_band", list(DEFAULTS.table_band), "Hz, lowest and highest used; 0, 0: as excited", minimum=0.0),
     Parameter(
-        "command_band", list(DEFAULTS.command_band), "Hz, lowest and highest used; 0, 0: as excited", minimum=0.0
+        "command", [], "the same for tests with commands; the same bags if both were excited at once", element=str
     ),
+    Parameter("output", "", "folder for models, poles and figures", required=True),
+    Parameter("fit", DEFAULTS.fit, "how poles are fitted", choices=FIT_METHODS),
+    Parameter("method", METHOD.method, "how transfer functions are estimated", choices=get_args(Method)),
+    Parameter(
+        "segment", METHOD.segment, "samples of a segment in Welch's method; 0: from the record's length", minimum=0
+    ),
+    Parameter("window", METHOD.window, "window of Welch's method, by SciPy's name"),
+    Parameter(
+        "overlap", METHOD.overlap, "overlap of segments in Welch's method, as a share", minimum=0.0, maximum=0.99
+    ),
+    Parameter("estimator", METHOD.estimator, "estimator of Welch's method", choices=get_args(Estimator)),
+    Parameter("order", METHOD.order, "order of the local methods' polynomials; 0: 2 rational, 4 polynomial", minimum=0),
+    Parameter(
+        "half_width", METHOD.half_width, "lines on each side in the local methods; 0: from the record", minimum=0
+    ),
+    Parameter("table_band", list(DEFAULTS.table_band), "Hz, lowest and highest used of the table's tests; 0, 0: as excited", minimum=0.0),
+    Parameter("command_band", list(DEFAULTS.command_band), "Hz, the same of the commands' tests; 0, 0: as excited", minimum=0.0),
     Parameter(
         "command_order",
         DEFAULTS.command_order,
-        "oscillating poles shown by the commands; 0: by the tests",
+        "number of oscillating poles in the commands' tests; 0: found from the tests",
         minimum=0,
     ),
-    Parameter("servo_lag", DEFAULTS.servo_lag, "s, of the actuators, from a bench test; 0: none was made", minimum=0.0),
-    Parameter("reduced_order", DEFAULTS.reduced_order, "states of the reduced model; 0: as many as count", minimum=0),
+    Parameter("servo_lag", DEFAULTS.servo_lag, "s, lag of the actuators in a bench test; 0: no such test", minimum=0.0),
+    Parameter(
+        "reduced_order", DEFAULTS.reduced_order, "states of the reduced model; 0: from singular values", minimum=0
+    ),
     Parameter("data", "", "file of measured data (.mat, .csv, .npz, .npy) in place of bags"),
-    Parameter("inputs", [], "of data: names of the columns that were excited", element=str),
-    Parameter("outputs", [], "of data: names of the columns that answer; none: all others", element=str),
-    Parameter("sample_rate", 0.0, "Hz, of data without a time column", minimum=0.0),
-    Parameter("time", "", "of data: name of the column of times in s"),
-    Parameter("units", [], "of data: NAME=UNIT of columns, for figures", element=str),
-    Parameter("hold", "band", "of data: inputs band-limited, or held between samples", choices=get_args(DataHold)),
-    Parameter("band", [], "Hz, of data; none: ten lines to half the sample rate", element=float, minimum=0.0),
-    Parameter("held_out", 0.0, "share at the end of data that is not used but predicted", minimum=0.0, maximum=0.8),
-    Parameter("stabilization", False, "draw stabilisation diagrams of both tests too"),
-    Parameter("mat", False, "write the models as MATLAB files too"),
+    Parameter("inputs", [], "names of the input columns of data", element=str),
+    Parameter("outputs", [], "names of the output columns of data; none: all others", element=str),
+    Parameter("sample_rate", 0.0, "Hz, sample rate of data without a time column", minimum=0.0),
+    Parameter("time", "", "name of the column of data with times in s"),
+    Parameter("units", [], "NAME=UNIT of columns of data, for figures", element=str),
+    Parameter("hold", "band", "inputs of data: band-limited, or held between samples", choices=get_args(DataHold)),
+    Parameter("band", [], "Hz, band used of data; none: ten lines to half the sample rate", element=float, minimum=0.0),
+    Parameter("held_out", 0.0, "share at the end of data that is predicted, not used", minimum=0.0, maximum=0.8),
+    Parameter("stabilization", False, "also draw stabilisation diagrams of both tests"),
+    Parameter("mat", False, "also write the models as MATLAB files"),
 ]
 
 

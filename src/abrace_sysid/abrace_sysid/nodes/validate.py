@@ -1,4 +1,4 @@
-"""The node `validate`: a bag against its simulation by a model, against the same test without control, or both.
+"""The node `validate`: compares a bag with its simulation by a model, with the same test without control, or both.
 
 abrace run abrace_sysid validate --ros-args -p bag:=bags/first -p model:=model/model.json -p output:=check
 """
@@ -118,7 +118,7 @@ class Validate(AbraceNode):
 
 
 def _tested(run: Run) -> str:
-    """Record and controller of a test, in words."""
+    """Record and controller of a test, as text."""
     peak = float(run.facts.get("peak_acceleration", 0.0)) * paper_unit(signals.GROUND)[0]
     record = f"{run.facts.get('record', '') or 'no motion'}{f' at {peak:.3g} g' if peak else ''}"
     return f"{record}, {run.facts.get('controller', '') or 'zero command'}"

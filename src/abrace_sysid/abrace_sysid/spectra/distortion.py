@@ -1,8 +1,8 @@
-"""Nonlinear distortion beside a transfer function, from the lines of a multisine that no input excites.
+"""Levels of nonlinear distortion for a transfer function, from the lines of a multisine that no input excites.
 
-What a nonlinear rig answers at these lines it answers at the excited ones between them too (Schoukens and Pintelon
-2012, sec. 4.3): even powers of the input at the even lines, odd ones at the odd lines. Divided by the input there it is
-in the unit of the transfer function: what the distortion does to it, of these phases of the multisine.
+The distortion at these lines is representative of that at the excited lines between them (Schoukens and Pintelon
+2012, sec. 4.3): even powers of the input at the even lines, odd ones at the odd lines. Divided by the input it is
+in the unit of the transfer function: the error that the distortion causes there, for these phases of the multisine.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A measured transfer function with its uncertainty: the curves of Figs. 3 to 5.
 
-What is measured is the response of the *sampled* rig: from an input's value at each sample (a command held until the
-next, a ground acceleration linear in between) to the recorded outputs. So a continuous model is sampled alike before it
-is compared with it, and fits of continuous models take hold and delay out first.
+It is the response of the *sampled* rig: from an input's value at each sample (a command held until the next, a ground
+acceleration linear in between) to the recorded outputs. So a continuous model is sampled in the same way before it is
+compared with it, and fits of continuous models remove hold and delay first.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class FrequencyResponse:
     sample_period
         Seconds.
     method
-        How it was estimated, in words.
+        Description of the estimation method.
     hold
         How the input moves between samples; None: as the rig's of that name does.
     distortion

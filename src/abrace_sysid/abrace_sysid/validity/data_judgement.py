@@ -1,4 +1,4 @@
-"""All checks on an identification from measured data, of which nobody knows what its channels are."""
+"""All checks on an identification from measured data, for which the meaning of the channels is unknown."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def judge_data(data: MeasuredData, found: DataIdentification, held_out: Measured
     residual = residual_of_data(found.data, found.model, found.band)
     nonlinear = [one.cause for one in findings if one.verdict and one.cause == "saturation"]
     findings += model_findings.unexplained(residual, nonlinear)
-    not_checked = {RIG_ALONE: "nobody knows which channel of the data is which"}
+    not_checked = {RIG_ALONE: "the meaning of the data's channels is unknown"}
     if len(held_out.outputs):
         findings.append(_predicted(found, held_out, residual))
     else:
-        not_checked["prediction"] = "held_out is 0, nothing was kept to be predicted"
+        not_checked["prediction"] = "held_out is 0, no data was held out"
     return Judgement(Validity(tuple(findings), not_checked), (residual,))
 
 

@@ -1,4 +1,4 @@
-"""What a check found, in numbers and in words, and the verdict over all of them."""
+"""The finding of a check, as numbers and text, and the verdict over all findings."""
 
 from __future__ import annotations
 

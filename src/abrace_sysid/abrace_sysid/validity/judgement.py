@@ -76,7 +76,7 @@ def judge(
     findings: list[Finding] = []
     not_checked: dict[str, str] = {}
     if found is None:
-        meaning, advice = f"nothing was identified: {failure}", "Mend what is named here, and identify again"
+        meaning, advice = f"nothing was identified: {failure}", "Correct what is named here, and identify again"
         findings.append(Finding("identification", "", 1.0, 0.0, "", Verdict.DONT, "", meaning, advice))
     findings += _of_tests(table, command, options, not_checked)
     residuals: list[Residual] = []

@@ -61,10 +61,10 @@ UNKNOWN_UNIT = 0.001
 """What a factor that is no unit's counts as a contradiction of its own, so that a usual unit comes first."""
 
 EXCITED = 100.0
-"""Power of the table's motion over that of its sensor's noise, from which on its lag can be told."""
+"""Power of the table's motion over that of its sensor's noise, from which on its lag can be determined."""
 
 MOST = 3
-"""Faults that are looked for in one test."""
+"""Greatest number of faults that are searched in one test."""
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ def unexplained(residual: Residual, nonlinear: Sequence[str]) -> list[Finding]:
             f"; a mode at {mode.frequency / (2 * np.pi):.3g} Hz, {_percent(mode.damping)} of damping, explains it"
         )
     elif not verdict:
-        meaning = f"the model explains {source} but for noise"
+        meaning = f"the model explains {source} except for noise"
     findings = [
         _finding("residual", f"{name}, {source}", excess, UNEXPLAINED[0], verdict, cause, meaning, advice),
         _whiteness(residual),
@@ -96,7 +96,7 @@ def _cause(
         return "unmodelled dynamics", advice
     if nonlinear:
         return nonlinear[0], ""
-    return "nonlinear", "Test with multisines at two amplitudes: distortion and its growth say what it is"
+    return "nonlinear", "Test with multisines at two amplitudes: the kind of distortion and its growth show the cause"
 
 
 def _small_mode(residual: Residual, mode: MissingMode) -> list[Finding]:
@@ -141,7 +141,7 @@ def _independence(residual: Residual, depends: Dependence, cause: str, advice: s
     at = float(depends.omega[np.argmin(depends.probability[:, worst])]) / (2 * np.pi)
     name, source = residual.outputs[worst], residual.source
     meaning = (
-        f"{_percent(share)} of {name} in {source} follows the input and is not in the model, most surely at {at:.3g} Hz"
+        f"{_percent(share)} of {name} in {source} follows the input but is not in the model, mainly at {at:.3g} Hz"
         if verdict
         else f"the residual of {source} does not follow the input"
     )
@@ -185,10 +185,10 @@ def disagreeing(
             f"{100 * worst.frequency_change:+.2g} %, damping {100 * worst.damping_change:+.2g} %, by chance with a "
             f"probability of {worst.probability:.1g}"
         )
-        advice = "Use the poles of the test whose amplitude is that of use; the common ones lie between both"
+        advice = "Use the poles of the test whose amplitude is nearest to that of use; the common poles lie in between"
         if verdict == Verdict.DONT and not _is_one_of(worst.frequency, building):
             verdict, cause = Verdict.CARE, "a mode too many"
-            advice = "Lower command_order by two: the mode named is none of the rig's"
+            advice = "Lower command_order by two: the mode named is not a mode of the rig"
     where = f"{worst.frequency / (2 * np.pi):.3g} Hz"
     return [_finding(check, where, value, DIFFERENT_DAMPING[0], verdict, cause, meaning, advice)]
 
@@ -227,7 +227,7 @@ def modes_of_both(table: Sequence[PoleInterval], common: Sequence[PoleInterval])
             0.0,
             Verdict.DONT,
             "mode missed",
-            f"the table's tests show a mode at {pair.frequency / (2 * np.pi):.3g} Hz that the model has not",
+            f"the table's tests show a mode at {pair.frequency / (2 * np.pi):.3g} Hz that the model does not have",
             "Raise command_order by two and identify again",
         )
         for pair in missing
@@ -288,7 +288,7 @@ def lag(command: str, source: str, measured: float, given: float) -> list[Findin
     verdict = judged(difference, limit)
     bench = f"servo_lag says {1e3 * given:.2g} ms" if given else "no bench test to compare with"
     meaning = f"{command} acts {1e3 * measured:.2g} ms late in {source}, {bench}"
-    advice = "model.json has what was measured; set servo_lag to it, and look for filters and delays on the way"
+    advice = "model.json has the measured lag; set servo_lag to it, and look for filters and delays in the signal path"
     return [
         _finding(
             "lag of the servo", command, difference, limit, verdict, "lag", meaning, advice if verdict else "", "s"

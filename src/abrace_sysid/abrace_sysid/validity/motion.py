@@ -24,7 +24,7 @@ QUIET = (1.3, 0.8)
 
 
 BANDS = 5
-"""In which the noise is looked at."""
+"""In which the noise is estimated."""
 
 LEAST_NOISE = 1e-7
 """Of a channel, as a share of its rms: exact readings have rounding alone."""

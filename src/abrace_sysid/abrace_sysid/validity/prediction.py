@@ -26,5 +26,5 @@ def prediction_finding(errors: Mapping[str, float]) -> Finding:
     error = errors[worst]
     verdict = judged(error, *MISSED)
     meaning = f"the worst predicted channel is {worst}: {100 * error:.2g} % off beyond its sensor's noise"
-    advice = "See validity.png of the identification for what the model does not know" if verdict else ""
+    advice = "See validity.png of the identification for what the model does not contain" if verdict else ""
     return Finding("prediction", worst, error, MISSED[0], "", verdict, "", meaning, advice)

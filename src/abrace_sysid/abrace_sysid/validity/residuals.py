@@ -1,8 +1,8 @@
-"""What the model leaves over of a test, line by line, beside the noise that its sensors have.
+"""Residuals of the model in a test, line by line, compared with the sensors' noise.
 
-The model is run over the inputs as they were measured; the leakage of the record's ends, a transient with the model's
-own poles, is fitted. What is left is noise of the outputs' sensors and, passed on by the structure, of the table's:
-their levels are read from the record above all that was excited. More than that is what the model does not know. If it
+The model is simulated with the measured inputs; the leakage of the record's ends, a transient with the model's
+own poles, is fitted. Noise explains a part of the residual: that of the outputs' sensors and, through the structure, of
+the table's; their levels are read from the record above the excited band. The rest is not described by the model. If it
 depends linearly on the input it is dynamics that the model lacks (a mode, a delay); if not, the rig is not linear
 (Pintelon and Schoukens 2012, ch. 4; Ljung 1999, sec. 16.6).
 """

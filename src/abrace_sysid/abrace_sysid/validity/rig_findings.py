@@ -52,7 +52,7 @@ def friction(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[Findin
         agrees = isnan(one.opposite) or one.opposite > AGREEING
         return one.acceleration > limit * one.deviation and agrees
 
-    advice = "Damping and intervals hold at the amplitude of the tests alone: test at that of use, or free the bearings"
+    advice = "Damping and intervals hold only at the tests' amplitude: test at that of use, or free the bearings"
     return _findings(
         "friction",
         "of critical damping",

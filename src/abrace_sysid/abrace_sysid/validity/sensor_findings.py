@@ -47,7 +47,7 @@ def dead(run: Run | MeasuredData, inputs: Sequence[str], reasons: Mapping[str, s
     reasons
         By channel (`recordings.dead_channels`).
     """
-    check, advice = "channels that answer", "Look at sensor, cable and channel number, and repeat the test"
+    check, advice = "channels that answer", "Check sensor, cable and channel number, and repeat the test"
     if len(reasons) == len(run.names) and inputs == (signals.GROUND,):
         reasons = {signals.GROUND: "no channel answers to it"}
     if not reasons:
@@ -122,7 +122,7 @@ def at_ends(source: str, counts: Mapping[str, int], samples: int, inputs: Sequen
             judged(share, *SATURATED),
             "saturation",
             f"{name} is saturated in {source}: {count} samples ({share:.2g} of them) are at its extremes",
-            "Repeat the test with less excitation" if name not in inputs else "Ask for less than the input can give",
+            "Repeat the test with less excitation" if name not in inputs else "Use a smaller input",
         )
         for share, name, count in sorted(found, reverse=True)
     ]
@@ -156,7 +156,7 @@ def spiked(run: Run | MeasuredData, names: Sequence[str]) -> list[Finding]:
             judged(share, *SPIKED),
             "spikes",
             f"{name} has {count} spikes in {run.source}, {share:.2g} of its power: readings far from their neighbours",
-            "Look at plug, cable and screen of the sensor, and repeat the test",
+            "Check plug, cable and shielding of the sensor, and repeat the test",
         )
         for share, name, count in sorted(found, reverse=True)
     ]
@@ -215,7 +215,7 @@ def _named(change: Change, source: str) -> tuple[str, str, str]:
         return WRONG[0], f"{both} are swapped in {source}", "Correct the channel list, or the cables"
     (name,) = change.channels
     if change.kind == "reversed":
-        return WRONG[2], f"{name} has the wrong sign in {source}", "Turn the sensor, or its sign in the calibration"
+        return WRONG[2], f"{name} has the wrong sign in {source}", "Reverse the sensor, or its sign in the calibration"
     size = f"{abs(change.factor):.4g} times too large" + (" and reversed" if change.factor < 0 else "")
     unit = f": {change.unit} in place of {signals.unit(name)}" if change.unit else ""
     return WRONG[1], f"{name} is {size} in {source}{unit}", "Correct unit or sensitivity in the calibration"
