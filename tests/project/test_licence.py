@@ -10,7 +10,9 @@ LINE = "SPDX-License-Identifier: Apache-2.0"
 
 def test_every_source_file_names_the_licence():
     listed = subprocess.run(["git", "ls-files", *PATTERNS], cwd=ROOT, capture_output=True, text=True, check=True)
-    texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in listed.stdout.split() if (ROOT / name).exists()}
+    texts = {
+        name: (ROOT / name).read_text(encoding="utf-8") for name in listed.stdout.split() if (ROOT / name).exists()
+    }
     assert len(texts) > 400
     assert "Apache License" in (ROOT / "LICENSE").read_text(encoding="utf-8")
     without = [name for name, text in texts.items() if text.strip() and LINE not in "".join(text.splitlines(True)[:3])]

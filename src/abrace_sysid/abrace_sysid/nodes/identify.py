@@ -61,8 +61,18 @@ PARAMETERS = [
     Parameter(
         "half_width", METHOD.half_width, "lines on each side in the local methods; 0: from the record", minimum=0
     ),
-    Parameter("table_band", list(DEFAULTS.table_band), "Hz, lowest and highest used of the table's tests; 0, 0: as excited", minimum=0.0),
-    Parameter("command_band", list(DEFAULTS.command_band), "Hz, the same of the commands' tests; 0, 0: as excited", minimum=0.0),
+    Parameter(
+        "table_band",
+        list(DEFAULTS.table_band),
+        "Hz, band used of the table's tests; 0, 0: as excited",
+        minimum=0.0,
+    ),
+    Parameter(
+        "command_band",
+        list(DEFAULTS.command_band),
+        "Hz, band used of the commands' tests; 0, 0: as excited",
+        minimum=0.0,
+    ),
     Parameter(
         "command_order",
         DEFAULTS.command_order,
