@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Accuracy of ambient tests: errors, intervals, false alarms and changes found, with pyOMA2 on the same records.
 
 pyOMA2 gets the same band, rate, lags, orders and pieces, and in addition what a person would select for it: the true

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is left of a bag after the worst cases: killed loggers, power losses, files cut off or damaged.
 
 kills, opened       loggers killed at random moments, and bags of theirs that could be read

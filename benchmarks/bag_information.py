@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time and memory for a large bag: `abrace bag info` of 1 GB, and its recovery and export.
 
 info            `seconds` and `peak_megabytes` of the command, from start to end; the least of a few runs

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Speed of reading a bag: 1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`, on one core.
 
 read_1e6_seconds            `read_topics`, all fields of all messages

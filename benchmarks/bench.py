@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Speed claims against their peers, measured in one run: `make bench`. Writes results/bench.json and prints a table.
 
 simulation     50 000 closed-loop steps, linear and saturated, against scipy's lfilter and dlsim, python-control's

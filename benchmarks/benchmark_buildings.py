@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The 20-storey benchmark building: its shipped values, its sample controller, and abrace's own: `make verify`.
 
 The records are those of the folder that BENCHMARK_DATA names; without it nothing is measured.

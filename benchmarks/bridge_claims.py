@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Claims about the bridge: a flooded UDP device, and the demo in real time through emulator and bridge."""
 
 from __future__ import annotations

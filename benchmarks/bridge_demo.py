@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """El Centro with LQG3 in real time through emulator and bridge: samples lost, answers too late, and how long they take.
 
 lost_samples      ticks of the emulated target whose sample did not reach a listener of `response`

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Endurance of the UDP device: malformed packets at 10 kHz from the target's own address while the loop runs at 500 Hz.
 
 The target is a process of its own. Its samples can be identified by their values, so that no wrong one passes

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """More than one brace group, from tests to a controller and what it does: in the part `buildings` of `make verify`.
 
 Five storeys with two unequal groups and ten with four: all groups tested at once with noise, orders and delays from

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A campaign in lockstep interrupted 20 times at random moments, and one that is not: their results, byte for byte.
 
 interrupted  times that SIGINT, SIGTERM or SIGKILL came; `campaigns` is how many ended meanwhile

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The overhead of a test in a campaign: 100 short tests in lockstep, and bare starts of as many nodes.
 
 overhead_seconds  from the last sample of a test to the first one of the next, on average

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Claims: measured numbers and the limits that they have to meet."""
 
 from __future__ import annotations

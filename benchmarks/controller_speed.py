@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The controller against its peers: a step of it, its answer over DDS, its gains and its discretisation.
 
 step_us            a sample from its bytes to the bytes of its command: unpacked, checked for gaps, LQG3's law, the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a new user reaches from the tutorials alone: each is followed, line by line, in an empty folder."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bare echo: one process publishes a Response, the other answers with a BraceCommand; nothing else.
 
 The peer of the lockstep graph: what DDS, rclpy and two processes cost for the same messages on the same machine. With

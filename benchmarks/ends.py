@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How nodes and launches end: interrupted twice, started with wrong arguments, killed. For `make soak`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Speed of an exploration: 1000 closed loops of 50 000 steps, saturation included, on this machine's cores.
 
 250 sets of weights, four records of noise at 0.1 g; models identified from the laboratory's tests: 8 states to design

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What LQG3's weights were fitted to, and what they do where nothing was fitted: in the part `lqg` of `make verify`.
 
 `src/abrace/scripts/fit_weights.py` found five numbers (the weights of displacements and of three accelerations, and the

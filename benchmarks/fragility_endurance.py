@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A fragility study whose processes are killed at random: part of `make soak`.
 
 A scheduler, two workers and the study's command run as processes of their own. Twenty times, after a random time, one

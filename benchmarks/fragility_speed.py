@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Speed of many closed loops of the paper's rig: what `abrace fragility` does, from models to Parquet files.
 
 linear      100 000 loops of 50 000 steps: 100 models drawn from the identified one, 20 controllers, 50 noises, no

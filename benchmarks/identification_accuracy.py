@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well identification finds the paper's rig, against other methods: the part `identification` of `make verify`.
 
 Simulated tests with the rig's own sensors (noise 65 dB down, 16 bits), each with noise of its own. Asked are the worst

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Claims about identification, and the tables that compare it with other methods and models."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Speed of identification, from bags of 600 s to the model, against its peers in one run, on one core and one thread.
 
 read_seconds   `read_run` of one bag, 300 000 samples of all channels to arrays, against reading its responses with

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The interlocks of the paper's rig: their utilisation in tests that must not trip them, and the faults that trip them.
 
 tests       by test, the utilisation of each interlock: its greatest value over its limit; and the trips, none

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How often 95 % intervals hold what they are about: the part `buildings.coverage` of `make verify`.
 
 Tests of the paper's rig, and of the same rig with 50 N of Coulomb friction in each storey, by noise (300 s) and by

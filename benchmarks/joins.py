@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes that join a running rig: a rig by the clock and its commander, while others come and go. For `make soak`.
 
 faults           joins at which the rig, with a `command_timeout` of 0.02 s as by default, let its braces go

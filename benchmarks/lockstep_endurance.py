@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Endurance of the closed loop in lockstep: two runs on the same nodes, 10 hours of the rig or 20 minutes in all.
 
 samples    of both runs

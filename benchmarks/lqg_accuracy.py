@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The five controllers as they run: designed on the identified model, recorded on the lockstep graph, and simulated.
 
 The campaign is `five_controllers.yaml`: tests, model, LQG1 to LQG5, each under El Centro at 0.1 g and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A measured structure: two shakers at once, 28 accelerometers. `make verify MEASURED=path` of its .mat file.
 
 All methods get the first two thirds of the record and are judged by the last third, as variance accounted for:

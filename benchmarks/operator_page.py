@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The operator's page in headless Chromium against the running graph: from a click to zero command; its memory.
 
 passed, runs            clicks on STOP, and those after which the command was zero for good within 50 ms and the ramp

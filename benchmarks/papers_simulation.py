@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's own simulation, the second half of its Table 1: how much of it two unlike tests explain.
 
 The paper simulates its controlled test by Eqs. (6) and (7), a table model and a command model side by side. A1 and A2,

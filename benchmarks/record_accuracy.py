@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The resampling of records, and their measures and response spectra against eqsig's."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report of the demo: how long `abrace report` takes, how large its page is, how soon a browser has drawn it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's rig against the numbers that the paper prints, and its limited motion against finer substeps."""
 
 from __future__ import annotations

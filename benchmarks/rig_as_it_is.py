@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole demo on a rig as it is: with friction, backlash, joints that yield, a valve, a table, filters and hum.
 
 The campaign is `demo.yaml` on `ncree_as_a_rig`. The model of its tests, which is linear, predicts the controlled

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Safety, tried on running nodes over DDS: every row of docs/safety.md as a case, 20 runs each. For `make verify`.
 
 pairs, pairs_covered        states times events, and those of them that a real RigSafety takes where its table says

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What may act, tried on running nodes by the clock: who is deactivated, interrupted, stopped, killed or floods.
 
 Each case is a function of a graph that fails with an AssertionError, as in `safety_cases`. The nodes that stream have a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What may act, tried on running nodes in lockstep: what is wrong with a command, a stop or a sensor, and clearing it.
 
 Each case is a function that fails with an AssertionError. They share a plant that the case commands, or a controller to

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What may act, tried on running nodes in lockstep: motions of the table, a law with the wrong sign, samples of old.
 
 Each case is a function of a graph of its own kind that fails with an AssertionError, as in `safety_cases`.

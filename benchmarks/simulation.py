@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Speed of a closed loop simulated offline, against its peers in one run: 50 000 samples of the paper's rig under LQG3.
 
 linear     `simulate` on the loop as one linear model

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Endurance of the logger and of how nodes end: `make soak`. Writes results/soak.json and prints tables.
 
 graph   10 minutes of the closed loop in real time at 500 Hz (plant, ground motion, controller, logger) while a process

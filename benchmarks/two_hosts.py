@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A rig on one host, its commander and operator on another, and what disturbs the link between them. As root.
 
 The hosts are network namespaces on this machine with a link of their own (`tests/support/hosts.py`). The rig's host has

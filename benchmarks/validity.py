@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated faults: how often validity names them, and how often it names one on the linear rig.
 
 Every fault is simulated in tests of 120 s each on the table and with the command, 20 seeds; what varies from seed to

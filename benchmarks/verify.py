@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Accuracy claims, measured: `make verify`; some parts alone by `make verify PARTS="safety bags"`.
 
 Writes results/verify.json as each part ends, prints tables, ends with 1 if a claim is missed or a part has failed.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The viewer beside a real-time loop at 500 Hz: what a client of Foxglove's protocol, at 500 Hz, costs the loop.
 
 In turns, a rig and its controller run alone, and with a viewer whose client subscribes to all samples and commands and

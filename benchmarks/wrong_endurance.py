@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Endurance of the nodes that stream: messages of right types and wrong content on every topic and service of each.
 
 topics, services, messages  how many were tried, and the messages of all

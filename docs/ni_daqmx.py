@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A device of one's own: a National Instruments card by NI-DAQmx, as the page bridge.md describes it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write docs/commands.md from the parsers, tables and Makefile that take commands: `python docs/write_commands.py`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write docs/errors.md, every message of an error in the source: `python docs/write_errors.py`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write docs/files.md from the schemas that check every file: `python docs/write_files.py`."""
 
 from __future__ import annotations

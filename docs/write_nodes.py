@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write docs/nodes.md from the nodes' own parameter tables: `python docs/write_nodes.py`, the workspace sourced."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write docs/states.md from the table that the rig's safety runs from: `python docs/write_states.py`."""
 
 from __future__ import annotations

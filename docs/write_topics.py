@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write docs/topics.md, what every node publishes, subscribes to and serves: `python docs/write_topics.py`.
 
 It is read from the source of each node's class and of those that it derives from. Types, names and QoS are evaluated

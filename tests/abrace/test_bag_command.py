@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`abrace bag`: writes what it says, and says in one line what is wrong."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Benchmarks: shipped values, the sample controller, any rig and controller, bags, and what is refused."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A campaign is checked whole before anything moves: what is wrong, what will go wrong, what it takes and writes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The campaign file: read as written, and refused with a line that says where the mistake is."""
 
 import re

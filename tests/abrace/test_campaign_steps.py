@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a step of a campaign can say: own nodes, treated records, several rigs, steps for all combinations."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Tab key behind `abrace`, as an interactive bash presses it."""
 
 import subprocess

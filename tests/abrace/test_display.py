@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The live display of a campaign: what stands on the terminal."""
 
 import io

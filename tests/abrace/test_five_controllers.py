@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """LQG1 to LQG5, designed on a model identified from two tests: what the weights files promise."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`abrace fragility` and `abrace.fragility`: from a rig's name to curves, and what is wrong in one line."""
 
 from __future__ import annotations

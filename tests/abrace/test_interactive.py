@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`import abrace`: notebook and page are run where there is no ROS, and what they give is looked at."""
 
 import inspect

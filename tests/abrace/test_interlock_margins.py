@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Margins of the interlocks in the paper's tests, and what trips them, in short: make verify has them all."""
 
 from pathlib import Path

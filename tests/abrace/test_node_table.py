@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What nodes report, as a table."""
 
 from types import SimpleNamespace

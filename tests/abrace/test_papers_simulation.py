@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's own simulation: rigs with the printed poles, their superposition, and how little those poles explain."""
 
 from __future__ import annotations

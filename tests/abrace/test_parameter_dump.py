@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What `ros2 param dump` writes of a node can be given to the next one as `--params-file`."""
 
 from __future__ import annotations

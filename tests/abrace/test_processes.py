@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Processes: found, started, watched, stopped, and none left behind."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report: what summary.json and the tables say of a campaign's results, and what is refused."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report's page, as a browser shows and prints it; skipped where there is no Chromium."""
 
 from __future__ import annotations

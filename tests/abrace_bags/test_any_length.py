@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags larger than memory, and files that claim to be: what is not asked for is not read, no claim is believed."""
 
 from __future__ import annotations

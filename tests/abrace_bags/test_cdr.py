@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decoding of messages: any layout gives the values that an independent serialiser wrote."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Damaged bags: what is whole is read, what is missing is reported by topic, and a whole bag is recovered from it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Definitions of installed message types: full text, type hash, and clear words where something is missing."""
 
 from __future__ import annotations

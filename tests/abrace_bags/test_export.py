@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags for people and other programs: description, CSV, MATLAB file, figure."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Layout of the package: what a bag passes through when it is read."""
 
 from __future__ import annotations

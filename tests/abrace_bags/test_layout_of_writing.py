@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Through how many objects a message passes from a live recording to the file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags that other programs wrote: every way that the format leaves open is read, whole and damaged."""
 
 from __future__ import annotations

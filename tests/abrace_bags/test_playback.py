@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which message of a bag is next, and when: by a clock that can stop, again and again, or as samples are answered."""
 
 from __future__ import annotations

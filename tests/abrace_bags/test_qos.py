@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """QoS of publishers: of live ones, as bags of every rosbag2 version have it, and combined of several."""
 
 from __future__ import annotations

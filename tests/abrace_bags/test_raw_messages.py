@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Raw messages of any bag: all of them, in time order, their bytes and QoS as they were recorded."""
 
 from __future__ import annotations

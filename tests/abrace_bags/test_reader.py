@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags: written ones are read back whole, by us and by independent readers, and damage is never read as good."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag's responses as a test of the rig: whole, finite and in order, or refused."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Topics and ranges of time: the messages that are asked for, whole, without reading the rest of the file."""
 
 from __future__ import annotations

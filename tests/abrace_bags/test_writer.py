@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a bag is written with: compression, files, attachments, counts, a thread of its own, snapshots, choices."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Launch arguments are all checked before the first node is started, and every mistake is named."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The operator's page without ROS: what it shows, whom it lets in, when it asks for a stop."""
 
 from __future__ import annotations

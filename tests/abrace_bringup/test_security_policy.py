@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The security policy: of the form that SROS2 takes, and with nothing allowed that could do harm."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What viewers are shown of a rig: every extreme, names for all numbers, a building that moves, layouts that fit."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a node makes of the samples that it answers."""
 
 import pytest

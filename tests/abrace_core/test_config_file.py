@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files that people write: every mistake in one line, not one a run."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The controller's parameter file: bit for bit there and back, doubles that stay doubles, and clear refusals."""
 
 from __future__ import annotations

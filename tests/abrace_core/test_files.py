@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files written atomically: whole or not there, whatever happens."""
 
 from __future__ import annotations

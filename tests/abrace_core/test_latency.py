@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Times from sample to answer, over the last of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Peaks and rms of many closed loops are those of the loops run one by one."""
 
 from __future__ import annotations

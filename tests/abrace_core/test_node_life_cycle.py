@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a life cycle node answers when one of its methods fails: the truth, and it is at rest."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The parameter table of a node: what it declares, and how it refuses what does not fit."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a node asks of the kernel: what it gets where that is allowed, and what it says where it is not."""
 
 from __future__ import annotations

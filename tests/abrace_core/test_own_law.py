@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A control law of one's own: what is made of its class, and what goes wrong in it."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Progress: a bar in place on a terminal, few plain lines elsewhere."""
 
 import io

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What may act: every state with every event, and what acts on the way."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Samples that are old, lost, late, or of a rig that has started anew."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is missing in a `sequence`, counted message by message and in an array."""
 
 from __future__ import annotations

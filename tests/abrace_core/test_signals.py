@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A signal is found by the paper's name and by that of the messages."""
 
 import numpy as np

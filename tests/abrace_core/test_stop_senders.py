@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who asks for a stop."""
 
 from abrace_core.safety.stop_senders import UNNAMED, StopSenders

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the shake table is allowed to do."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """White noise and multisines that a table can play: from rest to rest."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A table's velocity and displacement, and the stop that brings it to rest."""
 
 import math

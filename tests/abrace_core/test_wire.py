@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The loop's messages on the wire: the same to rclpy, whatever the size of the rig."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A figure that can be zoomed says what the figure on paper says."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A force that comes in without a jump, whatever acted before, and changes laws without one."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The run-time law is Eq. (13) without limits, and an observer of the applied command where it is limited."""
 
 from __future__ import annotations

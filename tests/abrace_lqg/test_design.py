@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """LQG design: delays, discretisation and the closed loop against closed forms; refusals."""
 
 from __future__ import annotations

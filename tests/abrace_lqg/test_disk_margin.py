@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The multi-loop disk margin: closed forms of mu, factors inside the disk that do no harm, how tight the bound is."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exploration: sets of weights, what becomes of each, the cluster, the files, the figure."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fragility: what is varied, every loop of it, the curves, the files of finished batches, the figures."""
 
 from __future__ import annotations

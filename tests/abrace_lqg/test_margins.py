@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Margins against loops whose crossings are known in closed form, and the closed loop against the step-by-step one."""
 
 from __future__ import annotations

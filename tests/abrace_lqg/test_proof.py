@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proof before use: each prediction against an independent calculation, what is refused, and the files."""
 
 from __future__ import annotations

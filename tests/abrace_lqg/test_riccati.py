@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Optimal gains against python-control; cross terms and correlated noise against closed forms."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Weights scaled to a rig from one number."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The weights file: what is read, written and refused."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """MATLAB files and bags: the named array or field is read, and what cannot be one record is told."""
 
 from __future__ import annotations

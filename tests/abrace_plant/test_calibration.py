@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration: volts to SI units and back, ranges, filters, zeroing."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Device files: the kinds that there are, a laboratory's own by its entry point, and the examples of the docs."""
 
 import dataclasses

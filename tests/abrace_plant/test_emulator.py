@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The emulator: what a target has to do by itself, faults of its links, and the program behind a real device."""
 
 import json

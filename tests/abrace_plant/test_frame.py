@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plane frames beside hand calculations and beside PyNite."""
 
 import math

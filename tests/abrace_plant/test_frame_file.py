@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frame files: the benchmark buildings, and what is refused."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interlocks: when they act, and what they say."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Deviations of samples from the clock, and what is told of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Layouts of packets: where each field stands, and what a packet may hold."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The limits of the interlocks: as the rig file gives them, or from the rig's numbers; and which are refused."""
 
 from pathlib import Path

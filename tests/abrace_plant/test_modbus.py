@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Modbus device against pymodbus's own server: LabJack's T7 by its register map."""
 
 import dataclasses

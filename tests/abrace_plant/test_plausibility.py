@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which wrong units are detected: what docs/rig.md says about it is checked here, key by key."""
 
 from collections.abc import Iterator

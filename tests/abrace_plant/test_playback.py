@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A motion answered sample by sample."""
 
 import numpy as np

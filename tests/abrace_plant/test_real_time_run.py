@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A run by the clock, with a device that fails, delays and ends as it is told."""
 
 import threading

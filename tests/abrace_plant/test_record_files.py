@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records by name and by file: what is known, what header and caller state, and that nothing else ever comes out."""
 
 import io

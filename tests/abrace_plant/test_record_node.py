@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `record` as a process, and its figure."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a linear rig has not, each effect alone against theory or another solver, then all of them together."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rig sample by sample: timing of inputs, faults, determinism."""
 
 from pathlib import Path

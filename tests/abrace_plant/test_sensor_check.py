@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sensors judged by their records: at rest, and in the paper's tests with faults planted."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A test of the simulated rig without ROS; that it is the nodes' own is in tests/graph/test_replay.py."""
 
 from pathlib import Path

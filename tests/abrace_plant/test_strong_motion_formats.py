@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """K-NET, CSMIP and COSMOS: files in the networks' own formats are read, and damaged ones are told by line."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which packet may follow which, and how old one is."""
 
 import pytest

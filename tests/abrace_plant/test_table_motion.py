@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a table goes through, and which motions it is not asked for."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The UDP device over real sockets: what is used, what is dropped and under which name, and what is an error."""
 
 import math

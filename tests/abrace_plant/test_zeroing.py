@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Zeroing of a running rig: which readings count, and what it is refused for."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Modes from responses alone: right within their intervals, and a change is told from chance."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """python-control's StateSpace in the place of a model, in identification."""
 
 from __future__ import annotations

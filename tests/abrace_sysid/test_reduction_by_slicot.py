@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Balanced truncation against SLICOT's AB09AD, which a sourced ROS 2's NumPy does not have."""
 
 from dataclasses import replace

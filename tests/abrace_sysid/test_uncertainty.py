@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What intervals, orders and pooled poles promise, on data enough to tell: each fails if its rule is weakened."""
 
 import numpy as np

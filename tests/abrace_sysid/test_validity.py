@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What validity says of a linear rig, and of each planted fault."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every code block in the documents is whole: Python compiles and imports what there is, files pass their schemas."""
 
 import ast

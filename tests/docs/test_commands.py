@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every command in the documents is one that there is, and takes what it is given."""
 
 import re

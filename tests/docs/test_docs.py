@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the documents say is so: files that are named, campaigns, docstrings; every page is in the site."""
 
 import ast

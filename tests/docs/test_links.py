@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Links between pages lead to a page, a file or a heading that is there."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The reference is whole: every name that a user can give or read is on its page, found here in another way."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The real nodes as processes of their own over real DDS, on a ROS domain of their own, beside a node of the tests.
 
 Every test has a namespace of its own.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The action play_ground_motion: played, cancelled, refused."""
 
 import numpy as np

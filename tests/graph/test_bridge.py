@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node sensor_bridge and its hardware: the emulator, a process of its own, behind real packets."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Campaigns: whole tests started, watched, stopped and reported by the `abrace` command."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node check_sensors as a process, with the emulator as the hardware."""
 
 import json

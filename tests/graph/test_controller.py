@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The real controller in a rig's loop: its force comes in, changes laws and bridges lost samples without a jump."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How nodes end, and what they refuse: signals, a killed logger, wrong parameters and files."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `explore` as a process: from models to a trade-off, a controller of it, and an end that leaves nothing."""
 
 import json

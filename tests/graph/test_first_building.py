@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Own building, record and law from docs/first_building.md alone; the whole day is run by `make verify PARTS=docs`."""
 
 import pytest

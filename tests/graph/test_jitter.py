@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The jitter of a running rig, measured beside a timer and an echo."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The life cycle of the rig and of those who drive it: nothing before it is asked for, nothing lost in between."""
 
 from __future__ import annotations

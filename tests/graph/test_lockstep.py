@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A lockstep run: every sample recorded, each command in force when it should be, the same each time."""
 
 from __future__ import annotations

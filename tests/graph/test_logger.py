@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The logger over real DDS: what it finds, what it keeps, its services, and what a kill leaves."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a new user gets wrong: each is one line that says what, where, and what was expected, and exit code 2."""
 
 from __future__ import annotations

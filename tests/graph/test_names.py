@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names: two rigs side by side in two namespaces, and topics called otherwise."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The offline nodes as processes: from bags to a model, a controller, a comparison; and what wrong input gives."""
 
 import json

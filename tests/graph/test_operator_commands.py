@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an operator does without `ros2`: abrace status, stop, clear and set on a running rig."""
 
 import subprocess

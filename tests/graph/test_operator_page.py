@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The operator's page in a browser, against running nodes; skipped where there is no Chromium."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Control laws of one's own as nodes: an example in a closed loop, and one that breaks."""
 
 import importlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A raw subscription over real DDS: which messages it counts as lost, which publishers it refuses or follows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rig by the clock: stamps, the controller in the loop, braces and table left alone by those who drove them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`replay`: the messages of a bag again as they were, and a controller that answers them as it did then."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Anybody's rig in the whole graph: every vector of every message takes its length from the rig file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the plant makes of commands that are wrong: a latched fault, and a force that goes smoothly to zero."""
 
 from __future__ import annotations

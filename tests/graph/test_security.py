@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The security policy against the running graph: it allows what the nodes offer and use, or SROS2 would break them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The supervisor of a launch begins a test when all are matched, ends it after its signal, and says what was wrong."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The two threads of a node that streams: nothing holds up the loop, and a node that ends has come to rest before."""
 
 from __future__ import annotations

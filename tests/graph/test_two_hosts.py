@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A rig on one host, its commander and its operator on another: network namespaces with a link that is disturbed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The viewer, as Foxglove and Lichtblick see it: a client of their protocol, over a WebSocket."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tests of the launch files where there is no `ros2 launch`: exit codes, what the terminal shows, whole bags."""
 
 import subprocess

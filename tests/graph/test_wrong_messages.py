@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of right types and wrong content on every topic and service: no node dies, and nothing wrong acts."""
 
 from __future__ import annotations

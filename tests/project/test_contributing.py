@@ -1,5 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
 """CONTRIBUTING names layers, subpackages and modules that exist, and all of them."""
 
+import ast
 import re
 
 import pytest
@@ -42,4 +44,4 @@ def test_every_layer_and_every_subpackage_is_named():
 )
 def test_every_subpackage_says_what_it_is_for(module):
     text = module.path.read_text(encoding="utf-8")
-    assert text.startswith('"""'), f"{module.path} has no docstring"
+    assert ast.get_docstring(ast.parse(text)), f"{module.path} has no docstring"

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The scripts that make and enter the environment, in a folder of their own: what they refuse, in one line."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Imports go from higher to lower layers, without cycles of modules or subpackages; only nodes import ROS."""
 
 import sys

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every source file says its licence in its first lines, as programs read it (SPDX)."""
 
 import subprocess

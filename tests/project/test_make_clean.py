@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`make clean` removes what `make setup` built, and nothing that a person made."""
 
 import shutil

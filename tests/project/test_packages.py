@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """package.xml names what the package imports, and what its tests import, and nothing else."""
 
 import re

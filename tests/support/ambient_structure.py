@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A frame in the wind: white forces on its floors that nobody measures, accelerometers on them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags that are cut off or damaged: what is read is right, nearly all that is whole is read, the rest is reported.
 
 A bag's file is cut at random lengths, and copies of it get one flipped bit at random places. Each is read; every

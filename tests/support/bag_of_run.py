@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A test of a rig as a bag, without ROS."""
 
 from __future__ import annotations

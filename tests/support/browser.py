@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A page opened in headless Chromium: what it has drawn, what its console said, and how it prints."""
 
 from __future__ import annotations

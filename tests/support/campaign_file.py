@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A campaign file of some steps, and what is wrong in one."""
 
 from __future__ import annotations

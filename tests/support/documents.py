@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The documents: their pages, code blocks, commands and headings, for tests that check and run what they say."""
 
 from __future__ import annotations

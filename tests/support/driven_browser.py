@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Headless Chromium that is driven: pages opened, clicked, typed into, asked; by its DevTools protocol."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A viewer, as Foxglove and Lichtblick are: it connects to a server of their protocol and subscribes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two hosts on one machine: network namespaces with an Ethernet link between them, and no shared memory in common.
 
 As root, where there are `ip`, `unshare`, `nsenter` and /dev/net/tun.

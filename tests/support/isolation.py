@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A folder and a ROS domain of its own for what a benchmark starts, and nothing left of a process that it kills."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A laboratory without ROS: tests of a rig, simulated and read by its sensors, as recorded Runs.
 
 For the tests of identification and for `make verify`, which need more tests than anyone would record.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An Ethernet link between two network namespaces, with delay, jitter, loss and cuts on demand.
 
     python link.py PROCESS PROCESS SOCKET

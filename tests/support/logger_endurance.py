@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The logger under load: three topics on a machine with a loaded core, floods, `kill -9` and power losses.
 
 For `make verify` and `make soak`, and in short for `make test`. Run as a program it is the bare subscription that

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the chunks of an MCAP file are, as `mcap` reads them from its summary section."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs commands as processes of their own, quickly: all that they import is imported once, then each is forked.
 
 `python mistakes.py MODULE ...` takes a line of JSON for each command, [word, ...], and gives [code, output, errors].

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poles by subspace identification (N4SID, Van Overschee and De Moor 1994), a second opinion beside our own.
 
 SLICOT's IB01AD and IB01BD through `ctrlsys` on one test, decimated so that the excited band fills its spectrum.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A policy of SROS2, read as `ros2 security create_permission` reads it: who may do what."""
 
 from __future__ import annotations

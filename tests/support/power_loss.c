@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 /* What a process does to the files of one folder, in its order, written to a log: for power_loss.py, by LD_PRELOAD.
 
    An event is a head and two texts: the data of a write, or one or two paths. Changes are logged after they were made,

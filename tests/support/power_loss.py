@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a power loss leaves: everything that a real process does to a folder is recorded, then the disk is made again.
 
 `power_loss.c`, compiled here and preloaded, logs the process's writes, syncs, renames and new files, in their order. A

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages, definitions and type hashes as `rosbags` makes them, which knows nothing of ours, for the tests of bags."""
 
 from __future__ import annotations

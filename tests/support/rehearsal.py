@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests of a rig sample by sample without ROS, with its interlocks: for their margins, and for what trips them.
 
 The parts are those that run in the nodes: motion within the limits, sensors with their faults, command guards, the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The real nodes as processes of their own over real DDS, beside a node of whoever watches or drives them.
 
 For the tests in `tests/graph` and for `make verify`. Nothing here waits for a time to pass: `Graph.until` waits for a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a campaign in lockstep leaves, byte for byte, but for what the clock or a process's number is in.
 
 Left out, and why: timing.json, origin.json, the timing in summary.json, report.md and report.html (seconds, times, and

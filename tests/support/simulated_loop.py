@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated rig in lockstep, without ROS: a loop that is active and at rest."""
 
 from __future__ import annotations

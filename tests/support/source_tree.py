@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The packages in src, their modules, and what each imports: for the tests of the project itself."""
 
 from __future__ import annotations

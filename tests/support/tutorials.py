@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tutorials, followed: a page's files are written into a folder and its commands are given there; no more is known."""
 
 from __future__ import annotations

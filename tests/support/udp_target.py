@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The other end of a UDP device, packet by packet, for its tests: sends what it is told to, and keeps what it gets."""
 
 from __future__ import annotations

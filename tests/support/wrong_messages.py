@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages whose types are right and whose content is wrong, and nodes that get them on every topic and service.
 
 NaN, infinities, huge, empty and long; stamps, runs and sequences from elsewhere; parameters of wrong kinds.

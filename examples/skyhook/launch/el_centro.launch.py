@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """El Centro at 0.1 g under the skyhook, in real time.
 
 ros2 launch skyhook el_centro.launch.py bag:=bags/one

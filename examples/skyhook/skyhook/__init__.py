@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """A skyhook damper as a control law of one's own."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Skyhook damping: each brace group pushes against the velocity of its floor (Karnopp, Crosby and Harwood 1974)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The skyhook on the simulated rig, without ROS."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """El Centro at 0.1 g under sliding-mode control, in real time.
 
 ros2 launch sliding_mode el_centro.launch.py bag:=bags/one

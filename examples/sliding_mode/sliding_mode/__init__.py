@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sliding-mode control as a control law of one's own."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sliding-mode control with a boundary layer (Utkin 1977; Slotine and Sastry 1983), of the floors' velocities alone.
 
 The law drives s = w1 v1 + w2 v2 + ..., a weighted mean of the floors' absolute velocities, to zero with as much of a

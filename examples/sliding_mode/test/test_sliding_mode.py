@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sliding-mode control on the simulated rig, without ROS."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests of an actively braced building: read, identify, design, simulate, validate; without ROS.
 
     import abrace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`abrace bag`: what is in a bag, its topics as CSV, as a MATLAB file, as a figure, and the building in motion."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`abrace benchmark`: a controller on a benchmark building or rig, beside the reference controllers."""
 
 from __future__ import annotations

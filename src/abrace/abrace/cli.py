@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The `abrace` command: nodes, campaigns, reports, bags, and what an operator does on the running graph."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a shell completes behind `abrace`: packages, their executables, campaigns; options and files by themselves.
 
 The shell starts the command with the variable _ARGCOMPLETE to learn it (`docs/installation.md`).

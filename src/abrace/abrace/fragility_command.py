@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`abrace fragility`: how likely limits are exceeded, over the intensity of the ground motion."""
 
 from __future__ import annotations

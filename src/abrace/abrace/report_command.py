@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`abrace report`: the report of a campaign, or a comparison of two campaigns."""
 
 from __future__ import annotations

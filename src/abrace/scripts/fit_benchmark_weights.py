@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find the weights of `src/abrace_lqg/config/sac_la_20.yaml`: abrace's LQG for the 20-storey benchmark building.
 
 Accelerations, with a taper over the height, and the base shear have weights; each command has one of its own. (Weights

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find the weights of `config/lqg1.yaml` to `lqg5.yaml`: LQG3's by the experiment of Table 1, the others from these.
 
 The paper prints neither Q nor R, only LQG3's results. Displacements, the acceleration of each floor and the noise have

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags: MCAP files in rosbag2's layout, the record of a test.
 
 A bag is a directory that `ros2 bag`, `mcap` and `rosbags` read, with the run's facts in it. It is written message by

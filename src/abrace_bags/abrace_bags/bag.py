@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The files of a bag, and their content other than messages."""
 
 from __future__ import annotations

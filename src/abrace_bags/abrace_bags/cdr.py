@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages to arrays: the layout of a serialised message, and its decoding for many messages at once.
 
 A message is serialised as little-endian CDR (XCDR1): the encapsulation header of four bytes, then the fields in order,

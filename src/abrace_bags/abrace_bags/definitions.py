@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Message definitions: the .msg texts that bags carry, found for installed types and parsed to fields."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is in a bag: topics, types, counts, rates, duration, missing numbers, facts."""
 
 from __future__ import annotations

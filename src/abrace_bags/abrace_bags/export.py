@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag's topics for other programs: comma-separated values, MATLAB files."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The figure of a bag: every quantity of the topics that are asked for over time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The counts that a bag has of each topic at its end: messages, gaps in `sequence`, losses."""
 
 from __future__ import annotations

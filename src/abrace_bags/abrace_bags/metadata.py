@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The metadata.yaml of a bag as rosbag2 0.26 writes it, and the versions of what records."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags that rosbag2 writes otherwise than as MCAP files: sqlite3, compressed files, compressed messages.
 
 `rosbags` reads them; here their messages become the chunks that an MCAP file would have them in.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A topic of a bag of any length as arrays, some messages at a time."""
 
 from __future__ import annotations

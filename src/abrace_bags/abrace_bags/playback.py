@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Playback of a bag's messages: which is next, and when it is due by the clock or, in lockstep, after an answer.
 
 In lockstep a controller receives the samples of an earlier run, and reproduces that run's commands to the last

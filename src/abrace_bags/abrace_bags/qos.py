@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The QoS that publishers of a topic offer: of live ones, in a bag, and of the one that replays them.
 
 `rosbags.interfaces.Qos` holds a profile. Bags store it as YAML, by names, up to ROS 2 Iron by numbers.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag's serialised messages in the order of their log times, as `replay` publishes them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags to arrays: whole topics at a time, from our bags and rosbag2's, also when they were cut off or lack files."""
 
 from __future__ import annotations

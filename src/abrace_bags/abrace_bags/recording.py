@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag recorded from live topics: one thread receives the messages, another writes them, all or the last seconds."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recovery of a bag that was cut off or damaged: everything in it that can be read is written to a new bag."""
 
 from __future__ import annotations

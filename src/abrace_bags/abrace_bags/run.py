@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag's `response` topic as a recorded test of the rig."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A pass through a bag, chunk by chunk: the content of each topic, and where its messages are.
 
 Description, recovery, replay and export of bags of any length are based on this.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which topics of the graph a bag is to hold, and the one message type that the publishers of a topic have to have."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes a bag message by message: MCAP files and their metadata.yaml, in rosbag2's layout."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Launch arguments: their table, and their check before the first node is started.
 
 Launch files run in the Python of `ros2 launch`, which may lack the packages of abrace's nodes: this module needs only

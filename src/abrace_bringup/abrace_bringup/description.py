@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The launch description of a test: arguments, nodes, and the consequence of each node's end."""
 
 from __future__ import annotations

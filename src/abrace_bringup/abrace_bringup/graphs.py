@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The graphs that launch files start: arguments, nodes, their parameters, and the consequence of a node's end."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tests of the launch files on a machine without `ros2 launch`: the same arguments, nodes, order and ends.
 
     abrace run abrace_bringup closed_loop controller:=lqg3.yaml bag:=bags/first

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The closed loop in real time: rig, controller, ground motion, logger.
 
 ros2 launch abrace_bringup closed_loop.launch.py controller:=lqg3.yaml record:=el_centro bag:=bags/run_1

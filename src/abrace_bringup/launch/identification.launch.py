@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A test for identification in real time: rig, logger, and white noise or multisines on the table, as command, or both.
 
 ros2 launch abrace_bringup identification.launch.py drive:=table bag:=bags/table_noise

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Blocks of samples of a discrete model as one matrix: what `simulation` and `loop_extremes` multiply by.
 
 All samples of a block follow from the state at its start and its inputs,

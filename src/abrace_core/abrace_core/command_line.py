@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Command-line parser whose errors are one line and suggest the name that was meant. No ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loops that have to go sample by sample, compiled at their first call.
 
 numba compiles them and caches the result next to the source (or, where that cannot be written, in the user's cache

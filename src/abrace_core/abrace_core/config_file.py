@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """YAML files that users write, read and checked key by key, with one-line errors; and numbers written to YAML."""
 
 from __future__ import annotations

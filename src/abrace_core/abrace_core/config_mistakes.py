@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readable errors for files that people write: pydantic's findings in abrace's wording."""
 
 from __future__ import annotations

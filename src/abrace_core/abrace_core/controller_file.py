@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The controller as a ROS 2 parameter file, for `--params-file`, with its origin and proof as comments.
 
 Numbers are written such that reading gives back the same bits, and with a point, so that ROS takes each for a double.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The exact discrete equivalent of a continuous model: holds and input delays.
 
 The command is held between samples (zero-order hold); the ground acceleration is assumed linear between samples

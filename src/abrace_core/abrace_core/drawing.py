@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Common parts of all figures: colours, and how they are saved.
 
 A figure is a matplotlib Figure without a window. Measured curves have one colour throughout and simulated or

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The exceptions whose message is for the user: for mistakes, and for what fails while it runs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The entry point of every node's executable: `lib/PACKAGE/NAME` runs `main` of `PACKAGE.nodes.NAME`."""
 
 from __future__ import annotations

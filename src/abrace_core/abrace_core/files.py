@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Atomic writing of files, also against crash or power loss: a temporary file is written, synced, then renamed."""
 
 from __future__ import annotations

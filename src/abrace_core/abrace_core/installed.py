@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files that packages install: rigs, weights and campaigns, by their names. No ROS is needed to find them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Latency of a node's answers: statistics over the last samples."""
 
 from __future__ import annotations

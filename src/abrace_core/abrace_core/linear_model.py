@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State-space models with named signals: dx/dt = A x + B u(t - delay), y = C x + D u(t - delay).
 
 The model type of all packages (Eqs. 3 to 9 of the paper). A model is immutable; it is kept in a JSON file with its

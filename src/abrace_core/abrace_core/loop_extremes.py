@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Peak and rms of many closed loops of one model and one controller, without their time histories.
 
 The samples are those of `simulation`, to rounding. A loop is run through in stretches of CHUNK blocks of samples, whose

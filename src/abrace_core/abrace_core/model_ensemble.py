@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random models drawn from the uncertainty of an identified one: the joint covariance of its parameters in its file.
 
 The parameters of a model in modal form (a 2 x 2 block [[re, -im], [im, re]] for each pole pair, one state for each real

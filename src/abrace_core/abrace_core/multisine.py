@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Periodic multisines: an alternative to the paper's white noise, for transfer functions without leakage.
 
 A multisine is a sum of cosines at multiples (lines) of one over its period. Its amplitudes are chosen, its phases are

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Banded white noise: the excitation of table and braces in the identification tests (Figs. 3 to 5 of the paper).
 
 The table's, which has to begin and end at rest, is made of it in `table_signals`.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A control law of your own: a Python class that receives each sample and returns forces. No ROS is needed for it.
 
     class Skyhook:

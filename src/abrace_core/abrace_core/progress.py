@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Progress of long runs on one line: a bar redrawn in place on a terminal, a plain line now and then in a log."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Peak and rms of a test's recorded quantities, in the rows of the paper's Table 1, in its units or in SI units."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readable errors in a node's arguments and environment; rcl prints the state of its parser, or aborts."""
 
 from __future__ import annotations

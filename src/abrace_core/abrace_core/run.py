@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A recorded test of the rig as arrays with named channels: the content of a bag's `response` topic."""
 
 from __future__ import annotations

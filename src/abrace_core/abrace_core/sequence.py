@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Numbers that are missing in a `sequence`: message by message as they come, or in an array of those recorded."""
 
 from __future__ import annotations

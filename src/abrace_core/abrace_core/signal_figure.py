@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of signals: time histories of a test or record, and the frequency response of a model."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names of the rig's signals, as the paper writes them: z = [x1, x2, x3, xf, a1, a2, a3, f], U and W."""
 
 from __future__ import annotations

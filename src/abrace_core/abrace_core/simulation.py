@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Discrete models run over whole records: free, or with a controller whose commands saturate.
 
 Samples are computed in blocks. All samples of a block follow from its first state and its inputs by one matrix,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names that a misspelt one may have meant. Launch files use it too: the standard library alone."""
 
 from __future__ import annotations

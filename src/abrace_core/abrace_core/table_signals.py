@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """White noise and multisines as accelerations of a shake table, which begin and end at rest in the table's middle.
 
 Noise that is only faded in and out leaves a velocity, and that a drift of metres. Here the displacement is made first:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Numbers as a pandas table, for those who have pandas."""
 
 from __future__ import annotations

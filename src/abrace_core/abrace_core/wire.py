@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The control loop's three messages as serialised (CDR, little endian), each packed and unpacked in one step.
 
 rclpy builds a Python object for each message and each message in it: 10 to 16 microseconds a message, which, apart from

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """YAML files that people write, with readable errors. Launch files use it: only PyYAML and the standard library."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A matplotlib Figure converted to Plotly, so that it can be zoomed in a browser: the same axes, curves and texts.
 
 Lines, bars, polygons, error bars, points and texts are taken over at their places.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The curves, bars, points and words of matplotlib axes as those of Plotly, for `abrace_core.zoomable`.
 
 Long curves keep the least and the greatest point of each of many narrow bins: a peak is never lost.

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """From models to LQG controllers: weights, design, analysis of the closed loop, proof, and the law at run time."""

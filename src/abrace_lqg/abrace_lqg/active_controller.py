@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The controller in use: fades its command in, and changes over to another controller without a jump in force.
 
 A fade follows half a cosine: at activation and after a fault from the force that is applied then, in a change from the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The control law at run time: Eq. (13) as an observer of the command that is really applied.
 
 U(n) = C_d q(n) + D_d y(n),     q(n+1) = A_d q(n) + B_d y(n) + G_d (U_acted(n) - U(n))

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """LQG design: from a model to the discrete output-feedback controller (Eqs. 11 to 13).
 
 The design model is the given one with its commands delayed, by Pade's approximation, by the whole delay from a sample

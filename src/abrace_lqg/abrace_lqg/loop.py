@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sampled loop of a model and a controller: closed, as one model, or broken at one signal, over frequency.
 
 The timing is that of the rig: the command computed from sample k is in force from sample k+1 to k+2, held. The loop is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gains of the optimal regulator and of the Kalman filter, from algebraic Riccati equations.
 
 The regulator minimises Eq. (11) with z-bar = C_z Z + D_z U, which gives cross terms of states and commands; the Kalman

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Relative weights scaled to a rig from one number: the wanted reduction, or the share of force to use.
 
 The weights of each kind are relative. Each signal's is divided by its mean square with zero command under the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The weights of an LQG design and their file, read and written.
 
 Eq. (11) weighs the recorded quantities and the commands, and sums of the former: the drift of each storey and the base

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find the physical parameters of `config/ncree_three_storey.yaml` from the numbers that the paper prints.
 
 An inverse eigenvalue problem, solved by least squares. Unknown: the shapes of the bare frame's modes (a rotation of a

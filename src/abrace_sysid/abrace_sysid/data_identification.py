@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Identification from measured data of any structure: the chain of the rig's own tests, without the rig.
 
 transfer functions  from all inputs at once, by the local rational method

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of an identification from measured data: model, poles, and how well each output is predicted."""
 
 from __future__ import annotations

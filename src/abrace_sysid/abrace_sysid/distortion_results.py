@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Noise and nonlinear distortion of tests with multisines, channel by channel, as text and as a file."""
 
 from __future__ import annotations

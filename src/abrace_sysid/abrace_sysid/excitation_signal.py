@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The commands of an identification test: banded white noise or a multisine for every brace group."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Prediction of measured data whose initial state is not known: simulated from the inputs, the free response fitted."""
 
 from __future__ import annotations

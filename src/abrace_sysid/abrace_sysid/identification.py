@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole chain: recorded tests with one input or the other to models (Eqs. 1 to 10), a consistent one among them.
 
 transfer functions  of each test, from all its bags together

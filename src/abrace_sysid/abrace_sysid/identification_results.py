@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files of an identification: its models, poles and nonlinear distortion."""
 
 from __future__ import annotations

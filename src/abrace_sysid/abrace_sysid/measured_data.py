@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured data of any structure: arrays with named inputs and outputs, from files of MATLAB, NumPy or text.
 
 A rig's own tests are read from bags (`Run`); both types have everything that identification needs of a test.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pole pairs with their intervals, as text and as a file."""
 
 from __future__ import annotations

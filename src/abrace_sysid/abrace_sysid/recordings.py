@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recorded tests before identification: checked, cut to the longest piece without a gap, trends removed.
 
 A fault that makes a test useless is an error, with what was found and what was expected; the loss of a channel or of a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A recorded test against the same test simulated by a model: Fig. 6 and Table 1 of the paper.
 
 The model is driven by the recorded ground acceleration alone where a controller closes the loop, and by the recorded

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files of the validity of an identification: validity.json and the figure that is to be read first."""
 
 from __future__ import annotations

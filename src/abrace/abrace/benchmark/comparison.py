@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Controllers side by side on a benchmark: criteria of every case, margins, and what the figures show."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The evaluation criteria of the structural-control benchmarks, of responses as arrays.
 
 Those of Ohtori, Christenson, Spencer and Dyke (J. Eng. Mech. 130(4), 2004, 366-385) for a structure that stays elastic:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The benchmark file: YAML that names a building, its devices and sensors, and the earthquakes, checked key by key."""
 
 from __future__ import annotations

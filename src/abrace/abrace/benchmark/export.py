@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A benchmark for other programs: model, ground motions, reference controllers and values without control as files."""
 
 from __future__ import annotations

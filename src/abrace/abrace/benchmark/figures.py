@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of a benchmark: the criteria of several controllers, and the greatest responses over the height."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A benchmark on a building of plane frames: its model, its runs with and without control, and what they give."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The reference controllers of the benchmarks, and margins of a controller on a benchmark's model."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A control law of the user's, a node, on a benchmark: each case run in the live graph, in lockstep, and recorded."""
 
 from __future__ import annotations

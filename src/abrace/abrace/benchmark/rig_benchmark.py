@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A benchmark on a rig: its linear model under recorded earthquakes, and recorded tests of it.
 
 Responses of a controller are those of the rig's linear model, exact, with the timing and the saturation of the graph;

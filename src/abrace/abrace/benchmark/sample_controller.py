@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sample controller of the structural-control benchmarks, an LQG with acceleration feedback.
 
 Its authors meant it as an illustration: it minimises the mean of 3e9 times the squares of all levels' accelerations and

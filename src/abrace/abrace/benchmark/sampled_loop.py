@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A loop run sample by sample, with the converters and the noise that a benchmark prescribes.
 
 The command computed from sample k acts from sample k+1 on, as in abrace's graph.

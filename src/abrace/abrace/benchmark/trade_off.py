@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What more force would give: abrace's own controller with other weights of its commands, beside the sample one."""
 
 from __future__ import annotations

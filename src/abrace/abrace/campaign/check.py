@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A campaign checked whole before anything moves: every file, every name, every limit."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The course of a campaign: checked first, then step after step that is not whole yet, the report, and the swap.
 
 Bags go to `bags/NAME/TIME/STEP`, never over an earlier one; results grow in `results/_unfinished/NAME` and take the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the tests of a campaign ask of rig, table, braces, sensors and controllers, looked at before the first one."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The live display of a campaign on a terminal: the step, time left, peaks, force against capacity, state of each node.
 
 Where there is no terminal `abrace_core.progress` writes plain lines; both have the same methods.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which steps of a campaign are whole: steps.json, with the checksums of what each was made from and of what it wrote.
 
 A step is whole while its inputs are as they were (its text, the versions, the rig file, the files and earlier steps

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The nodes that drive a test, or serve as its rig: their programs, parameters and parameter files."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What drives a test: motions of the table, and commands to the braces."""
 
 from __future__ import annotations

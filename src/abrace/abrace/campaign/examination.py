@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the bag of a test says of its run: faults, losses, readings and motions that were cut, commands that were."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The campaign file: YAML that lists tests, identifications, designs and comparisons, one after the other."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a campaign's results and bags are: results/NAME is whole at any time, the next grow in results/_unfinished."""
 
 from __future__ import annotations

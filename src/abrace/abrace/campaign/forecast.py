@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What tests will ask of sensors, interlocks and braces, predicted with the linear model of the rig's file.
 
 A test with a controller is predicted with its loop closed: by its file, or by a design on the rig's own model where the

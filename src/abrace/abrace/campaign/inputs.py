@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a step of a campaign is made from, as checksums: its text, the versions, files, and what earlier steps made."""
 
 from __future__ import annotations

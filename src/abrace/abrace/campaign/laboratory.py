@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rig of a test: its file read, its device checked, and the user's node found."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps for every combination of some values: `matrix: {law: [a, b], seed: [1, 2]}` beside `steps`.
 
 In those steps `<law>` alone is the value itself, and within a longer text what the value is called: a name of its own

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names, files and numbers of the campaign file. A path in it counts from the file's own folder."""
 
 from __future__ import annotations

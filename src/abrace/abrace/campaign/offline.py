@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the steps between the tests ask of rigs, tests and files, looked at before the first test."""
 
 from __future__ import annotations

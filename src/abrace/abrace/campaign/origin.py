@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a campaign's results come from: its file, its command, the versions that made them; origin.json."""
 
 from __future__ import annotations

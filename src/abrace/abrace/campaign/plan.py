@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a campaign will do: its tests with what they ask for, how long it takes, what it writes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Identified poles beside the rig's own and the paper's."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the steps of a campaign say of each other: a test that a model is identified from, a model of a design."""
 
 from __future__ import annotations

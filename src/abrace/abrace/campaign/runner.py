@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs the steps of a campaign: live tests of the rig, offline steps between them, each node a process of its own."""
 
 from __future__ import annotations

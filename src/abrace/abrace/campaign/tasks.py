@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a step of a campaign does: a test of the rig, or work on its bags."""
 
 from __future__ import annotations

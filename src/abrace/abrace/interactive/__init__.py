@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """What `import abrace` gives: the libraries, with arguments by name or file, and results that show themselves."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Any structure's measured inputs and outputs to a model; an ambient test to modes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Many sets of weights tried: what response, force and margins each would have."""
 
 from __future__ import annotations

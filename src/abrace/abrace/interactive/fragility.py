@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Closed loops under uncertainty: how likely limits are exceeded."""
 
 from __future__ import annotations

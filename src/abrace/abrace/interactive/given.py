@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What was given, an object, a name or a file, as the object that the libraries take."""
 
 from __future__ import annotations

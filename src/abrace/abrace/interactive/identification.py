@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests of a rig to its models."""
 
 from __future__ import annotations

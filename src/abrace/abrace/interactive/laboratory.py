@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rigs, records and recorded tests, by name or file; a rig measured."""
 
 from __future__ import annotations

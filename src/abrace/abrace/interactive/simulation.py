@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests simulated: of a rig as the nodes make them, or of a model."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The campaign's own node in the graph: it reads diagnostics and changes the state of life cycle nodes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an operator does on the running graph: hears every node's reports, presses stop, calls services.
 
 For the `abrace` command (`operator_commands`), and for the page in a browser (node `operator` of abrace_bringup).

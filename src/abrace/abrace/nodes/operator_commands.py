@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The commands of an operator, for machines without `ros2`: status, stop, clear and set on the running graph."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `supervisor`: begins a test when all nodes have found each other, and ends it after its last signal.
 
 abrace run abrace supervisor --ros-args -p inputs:=[brace_command=controller] -p signals:=[ground_motion]

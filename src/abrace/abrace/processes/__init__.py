@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes as processes: finding, parameters, starting, watching and stopping them, so that none is left behind."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Starting, watching and stopping the processes of a test, so that none outlives it.
 
 Every node runs in a session of its own: Ctrl-C at the terminal reaches only this process, which stops the nodes in an

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ends process groups; as a script, those of a `processes.ProcessGroup` whose owner died.
 
 Its standard input names the process groups that run: `+1234` when one starts, `-1234` when it has ended. A node that is

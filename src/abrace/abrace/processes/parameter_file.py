@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ROS parameter files for the nodes of a test."""
 
 from __future__ import annotations

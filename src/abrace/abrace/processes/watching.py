@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The viewer beside a campaign: a page in the browser that shows the building, while it runs and afterwards."""
 
 from __future__ import annotations

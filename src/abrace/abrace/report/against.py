@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Comparison of two campaigns: poles, validity, margins, measured peaks and rms, timing, and their differences."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An animation of the building as a GIF, from the bag of any test, alone or next to that of another test.
 
 Floors are drawn at their heights, moved by their measured displacements relative to the table, enlarged; below them the

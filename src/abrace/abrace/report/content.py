@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sections of a campaign's report, from its results and its bags."""
 
 from __future__ import annotations

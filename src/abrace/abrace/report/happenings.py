@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Texts for the events in the tests of a campaign: those that make a test untrustworthy, and those for information."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What nodes report of themselves, as a table for an operator."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A report as one self-contained page of HTML: tables, figures that zoom, a style for screen and paper.
 
 Plotly and the figures are compressed in the page, so that it stays small; the browser decompresses and draws them. A

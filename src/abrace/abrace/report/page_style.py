@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The style of a report's page, for screen and paper, and the script that draws its figures."""
 
 STYLE = """

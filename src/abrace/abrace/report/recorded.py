@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tests of a campaign, read from their bags: what the report shows of each, compared or not."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of recorded tests: the table's motion with its spectra, and the building's response."""
 
 from __future__ import annotations

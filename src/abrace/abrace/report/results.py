@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The files of results that a report is made from; each is a JSON object with these keys and no others.
 
 A campaign always writes timing.json and origin.json (its file, command and versions, `abrace.campaign.origin`);

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sections of a report: paragraphs, tables and figures, before they become Markdown or a page."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """summary.json: what the steps of a campaign measured, in numbers."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables for people: aligned plain text, and the same as Markdown."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tables of a campaign: poles, Table 1, without and with control, simulated against measured, timing."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The units of a report: cm, g and kgf for the paper's rig, mm, m/s² and kN for every other, or a given system."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report of a campaign: report.html, report.md, summary.json and the tables that the campaign prints.
 
 Made from the files in the directory of the results (`abrace.report.results`) and the bags of the tests.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files of a run as attachments of its bag: rig, model, controller, record."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A chunk of an MCAP file: search in a damaged file, decompression, check, and its messages."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The chunk of an MCAP file that is being filled; when it is full, its record and its message indexes."""
 
 from __future__ import annotations

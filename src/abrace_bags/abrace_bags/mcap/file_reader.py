@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One MCAP file, chunk by chunk, with every checksum checked.
 
 Undamaged data is kept; damaged data is left out, with a warning. After damage, reading continues at the next chunk,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One MCAP file, written record by record, with checksums and a summary section.
 
 Everything that is written goes to the operating system at once, so that it is kept if the process is killed; after

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The summary section at the end of an MCAP file: channels, message counts, and where the chunks to read are."""
 
 from __future__ import annotations

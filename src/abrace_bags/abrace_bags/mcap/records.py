@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records of an MCAP file, read from bytes that may be damaged, and the metadata record that holds the run's facts."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A scan of an MCAP file from beginning to end, despite any damage: all undamaged chunks, and what is missing."""
 
 from __future__ import annotations

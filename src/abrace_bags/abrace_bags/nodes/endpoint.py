@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What rclpy makes a publisher or a subscription with: the class of its messages and its QoS profile."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `logger`: records topics, without deserialising, to an MCAP bag that the standard tools read.
 
 abrace run abrace_bags logger --ros-args -p output:=bags/first -p topics:=[response,brace_command]

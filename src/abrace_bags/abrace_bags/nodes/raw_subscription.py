@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A subscription that receives serialised messages, with the middleware's times and numbers, by polling.
 
 No executor spins the subscription: a callback for each message would cost more than writing it to a bag.

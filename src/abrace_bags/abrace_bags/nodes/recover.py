@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `recover`: makes a complete bag of one that was cut off or damaged.
 
 abrace run abrace_bags recover --ros-args -p bag:=bags/broken -p output:=bags/recovered

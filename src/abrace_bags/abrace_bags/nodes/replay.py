@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `replay`: publishes a bag's messages again, unchanged, by the clock or in lockstep.
 
 abrace run abrace_bags replay --ros-args -p bag:=bags/first -p topics:=[response] -p lockstep:=true

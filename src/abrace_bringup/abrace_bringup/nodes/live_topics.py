@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The topics of the running graph for a viewer: all are offered, those are subscribed to that somebody looks at.
 
 Streams are received with best effort: a rig never waits for a viewer, nor sends anything again for it.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `operator`: a page in the browser on which a person watches a rig, arms it, records, and stops it.
 
 abrace run abrace_bringup operator --ros-args -r __ns:=/rig -p rig:=ncree_three_storey

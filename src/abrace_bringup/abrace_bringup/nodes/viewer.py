@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `viewer`: the running graph, or a bag, for Foxglove, Lichtblick and any browser.
 
 abrace run abrace_bringup viewer --ros-args -p rig:=five_storey -p exaggeration:=50.0

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What viewers may do in the graph: read parameters; where it was allowed set them, call services, and stop.
 
 The server calls these in threads of its own; what touches ROS is done by the node's executor.

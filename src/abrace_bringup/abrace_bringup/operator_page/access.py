@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who may open the page: where it is served, by which names, with which certificate, and who has the token.
 
 A page of somebody else's in the same browser must neither press nor look: every request has to name this server as its

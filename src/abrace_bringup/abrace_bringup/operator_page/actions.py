@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a person can have done on the page, and which nodes it is done to, in which order."""
 
 from __future__ import annotations

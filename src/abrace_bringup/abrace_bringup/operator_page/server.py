@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page's web server, in a thread of its own: its files, and a live connection to each page that is open.
 
 A page begins with its token. It then gets a frame every `PERIOD`, and answers each with its number: that is its

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether the page asks for a stop, and why: a person pressed, or a page was lost that has to stay."""
 
 from __future__ import annotations

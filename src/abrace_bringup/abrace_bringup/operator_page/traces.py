@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The last seconds of a rig's readings, thinned for a screen: of every bin the least and the greatest value."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the page shows, for JSON: from the rig's last sample, what nodes report, and what a person has done."""
 
 from __future__ import annotations

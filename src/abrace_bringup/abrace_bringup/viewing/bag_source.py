@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag's messages for a viewer, by the clock, again from the beginning after the last."""
 
 from __future__ import annotations

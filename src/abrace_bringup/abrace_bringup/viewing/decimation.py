@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fewer values for a viewer, none of the extremes left out: of every window the smallest and the largest.
 
 A curve through each window's minimum and maximum, in the order in which they came, covers the same range as the curve

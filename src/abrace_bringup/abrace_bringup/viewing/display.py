@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a viewer is shown of a rig, 50 times a second: named channels, the floors' places, columns and braces."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The layout for Foxglove and Lichtblick of any rig: the installed one, its plots with the rig's own channels."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Samples of a rig with a name for every number: `x1`, `a3`, `fb`, where the message has `displacement[0]`."""
 
 from __future__ import annotations

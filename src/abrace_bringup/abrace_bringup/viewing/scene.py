@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The building as a viewer draws it: frames of the floors, columns, and braces coloured by how much they are loaded.
 
 Floors are moved by their measured displacements relative to the table, enlarged. What stands still is in the robot

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What Foxglove and Lichtblick connect to: topics with their messages, over a WebSocket, by Foxglove's SDK."""
 
 from __future__ import annotations

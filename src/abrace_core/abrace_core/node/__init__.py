@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The base classes of all nodes, and `run`; with the nodes themselves the only modules that import rclpy.
 
 A node's module holds its parameter table, its callbacks and

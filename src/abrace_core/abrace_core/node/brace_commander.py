@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The base of every node that commands braces: it answers each sample with a force that has passed the checks.
 
 A subclass computes the force; this class and `Commander` do the rest.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The base of every node that answers samples of the rig: with forces for the braces, or accelerations for the table.
 
 It does what both have in common: old samples are dropped, the rig's stops obeyed, its silence noticed, and faults of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What all nodes share: QoS, live parameters, diagnostics, the end of the process."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node of a control law of one's own: guarded, recorded, stopped and latched as every commander of braces is."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The base of nodes that move something: life cycle nodes, which do so only while they are active."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node's parameters, declared, checked and described from one table."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node as a process: arguments, signals, spinning, the exit code.
 
 Exit codes: 0 done or stopped by a person, 1 failed while running, 2 wrong parameters or files (one line says what is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the kernel is asked for the loop's thread: a priority, processors of its own, memory that stays.
 
 As `ros2_control` names it. What the machine does not allow is a warning that says what to do: the node runs all the

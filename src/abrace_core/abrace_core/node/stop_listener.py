@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hears every stop button of the laboratory and of the rig, whatever its QoS, and tells one sender from another.
 
 rclpy does not say who published a message. Its C library does: the messages are taken from there, by nobody's executor.

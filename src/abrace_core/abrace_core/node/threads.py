@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The two threads of a node that streams: subscriptions and `tick` in the loop's, everything else in a second one.
 
 A node of rclpy belongs to one executor, which spins what the node's attributes `subscriptions`, `timers`, `services`,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How Fast DDS is set up for a node: by `config/streams.xml` if its messages must not wait, else `shared_memory.xml`.
 
 Before its first message to a listener in shared memory Fast DDS asks whether it is alive, and may sleep a third of a

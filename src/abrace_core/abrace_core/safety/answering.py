@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How a node answers each sample: it drops old samples, and commands zero while the rig is stopped."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The limits that every force command passes before it acts: finite, within capacity and rate limit.
 
 A command within the limits passes unchanged, bit for bit, as identification needs it. While ramping down the force goes

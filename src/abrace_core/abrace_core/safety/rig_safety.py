@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The state machine that decides what may act on a rig, common to table and braces, without ROS.
 
 A rig, simulated or real, decides with it. Each node that commands the rig has one for what it sends, and learns the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks of the stream of samples that a node answers: old and lost samples, a new run of the rig, a wrong rate."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The senders of a stop: stopped while any of them presses and, if heartbeats are required, while one is missing."""
 
 from __future__ import annotations

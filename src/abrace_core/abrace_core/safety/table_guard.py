@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The limits that every acceleration of the shake table passes before it acts, and the stop that brings it to rest."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A shake table's limits, its velocity and displacement sample by sample, and the stop that brings it to rest.
 
 The table's acceleration is linear between samples, as in the simulated rig: over a sample period T in which it goes

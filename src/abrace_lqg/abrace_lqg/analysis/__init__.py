@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Closed-loop analysis: takes a model and a controller, gives stability margins, modal damping, predicted rms."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The multi-loop disk margin: simultaneous, independent changes of gain and phase in all commands and all sensors.
 
 Each signal is multiplied by a factor f = (1 + d/2) / (1 - d/2) with a complex d of |d| < alpha: a disk that is

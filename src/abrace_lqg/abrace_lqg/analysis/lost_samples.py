@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The effect of lost samples on the loop while the run-time law bridges them.
 
 Over a lost sample the command in force holds, and the estimate is advanced with the values measured last and the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gain, phase and delay margin and sensitivity peak of a loop broken at one signal, the others closed.
 
 The signal is a command at the plant's input or a measured quantity. The margin for changes of all signals at once is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The damping of each mode of a structure without and with control, unmodelled modes included.
 
 Each pole pair is followed along the root locus: from the uncontrolled plant to the closed loop, while a gain on the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Predicted rms of responses and commands under random ground motion.
 
 The ground acceleration is noise with a flat spectrum in a band; the response's power is the integral of |H|^2 over that

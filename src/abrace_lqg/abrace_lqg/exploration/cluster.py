@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Batches of work computed on a Dask cluster, of this machine's cores or one that runs already.
 
 The processes of this machine's cluster end with the `with` block, whether it succeeds or fails; a cluster that ran

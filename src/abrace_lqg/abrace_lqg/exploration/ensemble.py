@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ground motions for an exploration: those of recorded tests, and banded noise."""
 
 from __future__ import annotations

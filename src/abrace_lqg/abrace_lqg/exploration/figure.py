@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figure of an exploration: response against force, coloured by margins (the trade-off behind Table 1's one point)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files of an exploration: all results (JSON), a table (CSV) and the models; and one set as weights and controller.
 
 The folder is complete: a set is designed again from the models in it, not from the files that they were read from.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of a long computation as a folder of Parquet files, one a batch: what is there is whole, and is kept.
 
 A file is written beside and renamed, so that a computation that was killed goes on after its last batches. Each file

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Text report of an exploration: the Pareto-optimal sets, and the reasons why others gave no controller."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Batches of a long computation, computed where they are missing; and the sets of weights of an exploration so."""
 
 from __future__ import annotations

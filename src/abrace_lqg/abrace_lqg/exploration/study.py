@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One set of weights tried: designed, its margins computed, and its closed loop run through every record.
 
 Eq. (11) leaves the weights open, and does not minimise what matters in a test: peaks, saturation and margins. So each

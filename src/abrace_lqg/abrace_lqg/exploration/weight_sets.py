@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sets of weights to try: a given one and quasi-random ones around it.
 
 Sobol's sequence, scrambled as by Owen (1998), covers the logarithms of the weights evenly. The command's weight is not

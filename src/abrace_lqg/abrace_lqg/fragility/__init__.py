@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fragility: takes models, controllers, sensor faults and ground motions, gives how likely limits are exceeded."""

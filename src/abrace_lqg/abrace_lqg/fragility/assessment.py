@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A fragility study carried out: its loops computed or found computed, its curves fitted, its files written."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fragility curves: the probability that a limit is exceeded, over the intensity of the ground motion.
 
 P(exceeded | im) = Phi(ln(im / median) / dispersion), fitted by maximum likelihood to how many of the loops at each

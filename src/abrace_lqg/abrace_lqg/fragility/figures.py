@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of a fragility study: curves with their bands, safety against force, what a failing sensor costs."""
 
 from __future__ import annotations

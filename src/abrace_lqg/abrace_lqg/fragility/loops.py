@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The closed loops of a batch, as a table with a row each.
 
 Without saturation a loop is linear: it is run through once for each motion, and its results are scaled to every

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a fragility study varies, and the batches in which its closed loops are computed.
 
 Every model is tried with zero command, and with every controller, its sensors intact and with each fault, under every

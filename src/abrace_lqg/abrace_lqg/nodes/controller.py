@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `controller`: Eq. (13) at the rig's sample rate, from a parameter file that `design` wrote.
 
 abrace run abrace_lqg controller --ros-args --params-file results/lqg3.yaml

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `design`: a model file and a weights file to a controller's parameter file, and its proof.
 
 abrace run abrace_lqg design --ros-args -p model:=model/reduced.json -p weights:=lqg3 -p output:=lqg3.yaml

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `explore`: many sets of weights tried on several ground motions, and any of them written as a controller.
 
 abrace run abrace_lqg explore --ros-args -p model:=results/model/reduced.json -p output:=results/exploration

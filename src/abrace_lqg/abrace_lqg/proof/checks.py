@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proof before use: the predicted behaviour of a designed controller with every available model of the structure.
 
 The controller is designed with one model, and the structure differs from every model. So the closed loop with each is

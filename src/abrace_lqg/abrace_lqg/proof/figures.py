@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of a controller's proof: the loop with its margins, the poles, and the predicted rms.
 
 Each function returns a matplotlib Figure; `abrace_core.drawing` has the colours and saves it.

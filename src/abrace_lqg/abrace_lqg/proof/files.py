@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files of a proof: models read by name, and the numbers and figures written into the controller file's folder."""
 
 from __future__ import annotations

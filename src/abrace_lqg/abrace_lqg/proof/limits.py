@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The limits that a controller has to keep before it is written, and the names of the objections if it does not."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Design and proof of a controller in one step, from models or their files to the controller's and proof's files."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The proof of a controller as lines of text: printed by `design`, and comments in the controller file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The calibration file: conversion of readings from volts or counts to SI units, and of commands to volts or counts.
 
     value = sign gain (raw - offset)        of a measured channel, in `unit`

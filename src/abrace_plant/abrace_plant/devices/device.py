@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The interface to a rig's hardware: a device takes one command and gives one reading at every tick of its hardware."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The device file: the kind of device that connects a rig's hardware, and its settings.
 
 A laboratory adds kinds of its own as entry points of the group `abrace.devices`: each is a function that takes the path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The layout of binary packets: a file names the fields of a sample and of a command in their order.
 
 Fields are packed as Simulink Real-Time's Byte Packing block packs them: each entry of the list begins at a multiple of

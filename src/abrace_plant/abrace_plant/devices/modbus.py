@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A device behind Modbus-TCP, such as LabJack's T7: commands are written and readings read at a tick of our own clock.
 
 A device that only answers has no tick of its own, and keeps its outputs when nothing is written any more. So

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A Modbus register map: the registers of each signal, read and written in as few requests as possible."""
 
 from __future__ import annotations

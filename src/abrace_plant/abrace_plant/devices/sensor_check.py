@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check of the sensors by their readings: at rest by their noise, in motion by comparing the signals of each floor.
 
 A floor's accelerometer reads the second derivative of its displacement plus the table's acceleration, for any

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated rig as a device: its hardware is a model, and its tick, in real time, the computer's clock."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which packet of a target may follow which, and when its sample was taken.
 
 A packet is used if it is newer than the last one by a number of ticks that can have passed, and if its time agrees. So

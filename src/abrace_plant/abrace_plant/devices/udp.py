@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A target that sends and receives one UDP packet a tick: Speedgoat, dSPACE, LabVIEW, Simulink, a custom board.
 
 Every packet is checked; one that is not from the target, incomplete, not finite or not the next sample is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Zeroing: the readings of a rig at rest, and the calibration file at which their mean is zero."""
 
 from __future__ import annotations

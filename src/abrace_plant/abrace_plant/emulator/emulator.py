@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The emulator: a target that ticks by its own clock behind a port, with faults on demand.
 
 A fault is a text: `loss=0.01` (in both directions), `sample.delay=0.005` or `command.loss=0.2` (in one), `freeze=0.1`

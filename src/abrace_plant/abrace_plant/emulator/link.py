@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A network link with faults: delay, jitter, loss, repetition, reordering and corruption of packets."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An emulated target behind Modbus-TCP: pymodbus's server, whose registers are the target's."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ports of an emulated target: the interface, and the port for UDP packets through two faulty links."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An emulated target: the simulated rig with its own tick, and the protections that a real target must have.
 
 A target follows commands while they keep coming. When the life counter of the commands has not changed for `LIFE_TIME`,

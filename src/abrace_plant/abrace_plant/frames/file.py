@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The frame file: YAML that describes a plane frame of bays and storeys, checked key by key."""
 
 from __future__ import annotations

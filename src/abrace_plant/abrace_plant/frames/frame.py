@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plane frame of straight members: its stiffness, its masses, and the bending moments at the ends of its members.
 
 Euler-Bernoulli members, small displacements, no shear deformation, no P-Delta, joints without size (Przemieniecki 1968,

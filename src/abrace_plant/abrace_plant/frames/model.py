@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The linear model of a building of plane frames, from the ground's acceleration and forces between its levels."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Timing of samples: their deviations from the clock, and those of a bare timer on the same machine."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The figure of a measurement of jitter: distribution of the deviations."""
 
 from __future__ import annotations

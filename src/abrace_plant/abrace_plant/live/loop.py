@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The loop of a rig, sample by sample and without ROS: checks inputs, exchanges samples with the device, finds faults.
 
 Sample k uses the answers to sample k-1: the command acts from t_k on, and the ground has the commanded acceleration at

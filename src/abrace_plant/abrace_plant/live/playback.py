@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A prepared ground motion played sample by sample, with a stop to rest when it is cancelled."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A run of a rig in real time: a thread sends commands to the device, waits for its sample, and publishes it."""
 
 from __future__ import annotations

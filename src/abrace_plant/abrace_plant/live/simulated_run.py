@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A whole test of the simulated rig, in lockstep and without ROS: what the node `plant` would publish, as a Run.
 
 It uses the node's own parts: limits of braces and table, sensors, interlocks. So a test gives the same numbers here as

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `characterize`: measures a rig as the paper measured its building, and compares it with the paper.
 
 abrace run abrace_plant characterize --ros-args -p rig:=my_rig.yaml -p output:=results/rig

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `check_sensors`: checks a rig's sensors by their readings, from the hardware at rest or from a bag.
 
 abrace run abrace_plant check_sensors --ros-args -p rig:=my_rig.yaml -p bag:=bags/at_rest -p output:=results/sensors

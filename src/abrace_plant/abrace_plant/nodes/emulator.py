@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The program `emulator`: a rig behind a device file, for tests of everything on this side of the cable; no ROS."""
 
 from __future__ import annotations

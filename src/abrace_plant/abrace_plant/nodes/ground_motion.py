@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `ground_motion`: plays a record, white noise or a multisine, one value for each sample of the rig.
 
 abrace run abrace_plant ground_motion --ros-args -p record:=quake.csv -p peak_acceleration:=0.98

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `jitter`: the timing of a running rig's samples, compared with a bare timer and a bare echo.
 
 abrace run abrace_plant jitter --ros-args -p duration:=60 -p output:=results/jitter

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `plant`: a simulated rig with exactly the topics of the real one.
 
 abrace run abrace_plant plant --ros-args -p rig:=five_storey -p seed:=3

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `record`: intensity measures and response spectra of a record, as read and as played, and the table's share.
 
 abrace run abrace_plant record --ros-args -p record:=quake.csv -p unit:=g -p output:=results/quake

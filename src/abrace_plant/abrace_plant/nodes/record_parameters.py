@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters of a table's motion, and the motion that they describe: for `ground_motion`, `record` and campaigns."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The base class of rig nodes: the simulated rig, and hardware behind the bridge."""
 
 from __future__ import annotations

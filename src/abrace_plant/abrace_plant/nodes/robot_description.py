@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `robot_description`: prints a rig's robot description (URDF), as robot_state_publisher takes it.
 
 abrace run abrace_plant robot_description --ros-args -p rig:=my_rig.yaml

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `sensor_bridge`: the real rig behind a device file, with exactly the topics of the simulated one.
 
 abrace run abrace_plant sensor_bridge --ros-args -p rig:=my_rig.yaml -p device:=my_device.yaml -p thread_priority:=50

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of binary files: MATLAB's `.mat`, and any topic of a bag.
 
 - `.mat` (versions 4 to 7.2): the channel is the name of a variable, a struct's field as `quake.acceleration`. A vector

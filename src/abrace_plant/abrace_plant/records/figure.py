@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The figure of a record: acceleration, velocity, displacement, Husid plot and response spectra, as read and as played.
 
 The record as read is blue, the motion that is played red.

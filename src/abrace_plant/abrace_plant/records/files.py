@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records by name or by file: finds the file, chooses the reader by its ending, and completes unit and sample period.
 
 A directory is a bag. The readers are in `text_formats` (PEER AT2, columns, CSV), `strong_motion_formats` (K-NET,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Velocity, displacement and intensity measures of a recorded or played ground motion.
 
 The acceleration is taken to be linear between samples, from rest at the first. Velocity and displacement are the exact

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loads a MATLAB file in a process of its own, because SciPy's reader crashes the process on some damaged files.
 
 Run as a program with a path, it writes the variables, pickled, to standard output, or an error in one line to standard

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Common parts of the readers of all formats: units of acceleration, lines of text, and checks of the values read.
 
 In every format a reading has at least two finite values, and its times, if the file has any, have equal steps.

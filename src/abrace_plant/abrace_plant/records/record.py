@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A record of ground acceleration, and the check that it can be integrated."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Response spectra: the greatest response of oscillators of one degree of freedom to a ground motion.
 
     u'' + 2 zeta omega u' + omega^2 u = -a(t)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of the formats of strong-motion networks: K-NET and KiK-net, CSMIP volume 2, COSMOS V2.
 
 - `.ew`, `.ns`, `.ud`, also followed by 1 (borehole) or 2 (surface): K-NET and KiK-net ASCII. A header of 17 lines,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The motion of a table that plays an acceleration, and the check against the table's limits.
 
 The acceleration is linear between samples, as the simulated rig takes it, and zero before the first and after the last.

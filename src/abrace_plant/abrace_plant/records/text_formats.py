@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of records in columns of text: PEER AT2, one and two columns, CSV.
 
 - `.at2`: PEER, in units of g, as its third line must say; the fourth line in any of the forms

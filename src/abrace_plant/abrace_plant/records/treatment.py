@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Treatment of a record for the table: baseline, time scale, filters, resampling to the rig's rate, scaling to a PGA.
 
 The paper plays El Centro for 100 s and Kobe for 60 s, both at 0.1 g. White noise for the table comes from

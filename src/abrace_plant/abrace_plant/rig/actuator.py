@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The hydraulic actuator under force control, with its natural velocity feedback.
 
     tau f' = (U - f) + omega_i g - c v,     g' = U - f

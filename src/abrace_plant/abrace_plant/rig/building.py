@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The frame: lumped floor masses, condensed stiffness and damping, and the ways to state them.
 
     M x'' + C x' + K x = -M 1 w + forces

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The building in the rig file: its forms of stiffness and damping, and the effects beyond a linear frame."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A rig measured as the paper measured its building: frequencies, damping, bench test, f/U in the building, first mode.
 
 Everything is computed from the rig's linear model, which the simulated rig follows exactly within its limits.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A rig's characteristics drawn in the manner of the paper's Figs. 2 and 3, with its poles and its first mode."""
 
 from __future__ import annotations

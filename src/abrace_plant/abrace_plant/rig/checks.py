@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Numbers of a rig file, and the errors that name a key, what was found and what was expected."""
 
 from __future__ import annotations

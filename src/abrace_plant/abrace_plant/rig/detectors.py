@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The quantities that interlocks watch, sample by sample: one linear system from readings, command and table.
 
 Most quantities are readings or differences of readings. Four need filters, which are made in continuous time and

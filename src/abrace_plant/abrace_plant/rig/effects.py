@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Text for the effects of a rig that its linear model and exact sensors do not contain."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figure of the effects that a rig's linear model leaves out: storeys, pins and valve, table and filters."""
 
 from __future__ import annotations

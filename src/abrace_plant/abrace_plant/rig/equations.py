@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The equations that `motion` steps: the linear model on its table, and where limits, springs and friction act."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rig file: YAML that describes a rig, checked key by key."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Storeys that yield: a Bouc-Wen spring in place of a part of a storey's stiffness (Bouc 1967, Wen 1976).
 
     force = k z,     z' = (1 - |z / d|^n (beta sign(z d') + 1 - beta)) d'

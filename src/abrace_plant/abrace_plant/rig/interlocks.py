@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interlocks: limits on the readings of a rig's sensors, checked at every sample, whichever node commands.
 
 Each interlock of `limits.limit_table` watches every channel of its kind. It acts when its value has been exceeded for

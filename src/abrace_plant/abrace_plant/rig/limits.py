@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Limits of the interlocks of a rig: those that its file gives, and for the others what follows from the rig's numbers.
 
 No rig is without interlocks: one that the file does not name has a limit computed from the sensors' ranges, the

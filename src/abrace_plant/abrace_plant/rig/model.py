@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rig as one linear model: building, braces with their actuators, local modes; `motion` steps it.
 
 States: floor displacements x, local modal displacements q, their velocities, and for each brace group the force f of

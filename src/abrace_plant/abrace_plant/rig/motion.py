@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rig's motion sample by sample: its linear model, and all nonlinear effects.
 
 Within a sample the rig obeys

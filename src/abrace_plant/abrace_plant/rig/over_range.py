@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Channels at the end of their sensors' range, where a reading means only that the true value is at or beyond it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plausibility checks of a rig's numbers: finds those that are written in another unit than expected.
 
 A single number is seldom impossible; a dimensionless ratio often is. Each rule has one such ratio of the rig's

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's numbers of its rig, with which the simulated rig is compared."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rig as a robot description (URDF) for RViz and Foxglove: a table, and each floor sliding along x above it.
 
 Displacements are recorded relative to the table, so every floor is joined to the table directly and its joint's

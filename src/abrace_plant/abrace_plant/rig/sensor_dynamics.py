@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sensor dynamics: transducers and anti-alias filters of finite bandwidth, cross-axis sensitivity.
 
 Both are low-passes: a transducer with its conditioner one of second order with Butterworth's damping (close to the

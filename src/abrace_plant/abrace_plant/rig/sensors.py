@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sensors: bias, drift, hum, noise, range and quantisation of the readings, and channels that fail."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compiled step of `motion`: the rig from one sample to the next."""
 
 from __future__ import annotations

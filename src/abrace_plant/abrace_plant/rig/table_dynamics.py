@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The shake table as it follows its command, with the building on it.
 
 After Blondet and Esparza (1988) and Conte and Trombetti (2000).

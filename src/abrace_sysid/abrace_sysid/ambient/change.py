@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Has the building changed? The modes of two ambient tests compared, each difference with its probability."""
 
 from __future__ import annotations

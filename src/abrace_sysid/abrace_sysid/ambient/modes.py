@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From records of an ambient test to the modes of the structure: those that stay the same from order to order."""
 
 from __future__ import annotations

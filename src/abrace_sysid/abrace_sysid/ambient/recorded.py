@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recorded tests of a rig as ambient tests: responses alone, no command, whatever moves the table."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Modes from responses alone, with their uncertainty: stochastic subspace identification from output covariances.
 
 The covariances R(k) of the responses at lags 1, 2, ... are those of a free decay of the structure, if the excitation is

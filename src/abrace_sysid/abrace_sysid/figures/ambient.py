@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of ambient tests: poles of rising order with their intervals, and what has changed between two tests."""
 
 from __future__ import annotations

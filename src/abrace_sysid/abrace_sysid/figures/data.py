@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The figures of an identification from measured data."""
 
 from __future__ import annotations

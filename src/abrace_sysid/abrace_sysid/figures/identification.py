@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of an identification: transfer functions as in Figs. 3 to 5, poles, and the errors of its models."""
 
 from __future__ import annotations

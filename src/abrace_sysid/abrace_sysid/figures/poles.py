@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of poles: how far sets of pole pairs are apart, and within which intervals they are known."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's symbols of the rig's signals, for titles, axes and legends."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of a validation: time histories, as in Fig. 6."""
 
 from __future__ import annotations

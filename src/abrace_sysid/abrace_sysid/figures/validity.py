@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The figure that is to be read first: whether the model can be trusted, and if not, why not and what to do."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which pairs of poles are modes of the building, and the same modes in several fits, by their shapes.
 
 In a mode of the building the floors move as the accelerometers on them read: the shape of the accelerations is that of

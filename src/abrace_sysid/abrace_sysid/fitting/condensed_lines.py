@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The lines of tests near some modes: basis, slopes and channels, and their triangular factor.
 
 The lines are used once, in an orthogonal factorisation of the three side by side; everything after that is done with

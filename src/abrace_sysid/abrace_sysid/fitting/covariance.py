@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The covariance of fitted modes, from what they leave over of the tests themselves, in two ways.
 
 By lines    each frequency line is a cluster (White 1980; MacKinnon and White 1985, HC3): right for noise of any

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Curve fitting of transfer functions by ratios of two polynomials of s: Eqs. (1) and (2) of the paper.
 
 Eq. (1) is the set of normal equations of the linear least-squares problem

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The covariance of a fit in terms of its poles, drives, shapes, direct terms and delays, which a model is made of."""
 
 from __future__ import annotations

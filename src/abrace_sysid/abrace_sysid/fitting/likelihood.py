@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The likelihood of recorded tests near one set of modes, to second order; `maximum_likelihood` climbs it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Modes by maximum likelihood, from one test or from several at once, with the covariance of their poles.
 
 At the lines k of a test the model is exact, leakage included:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Modal states: the states of a model whose poles are given and whose residues are sought.
 
 One real 2 x 2 block for each pole pair, [[re, im], [-im, re]], driven through its first state, and one state for each

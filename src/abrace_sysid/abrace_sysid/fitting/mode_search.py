@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The number of modes of a structure of which nothing is known: found one by one, kept while they predict.
 
 The first part of a record is fitted, by maximum likelihood; the mode that would lower its cost most, alone and added to

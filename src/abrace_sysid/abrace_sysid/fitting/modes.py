@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Modes: poles, and how much each input drives them; the parameters that a likelihood is climbed with."""
 
 from __future__ import annotations

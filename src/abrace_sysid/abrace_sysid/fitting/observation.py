@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The frequency lines of one test in the likelihood of its poles, from spectra or from transfer functions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The options of an identification, from its transfer functions to its reduced model."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The number of poles from data: fits of several orders compared by description length.
 
 Orders are tried on a part of the lines, each of which obeys the same model; what is chosen is then fitted to all.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Responses of single poles as the sampled rig shows them: hold and the transient of a finite record included.
 
 A pole p answers an input u with the state dx/dt = p x + u. Between samples u is held or linear, which makes the state

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poles fitted to tests, with their covariance, and frequency and damping of the pairs with confidence intervals."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poles of the table test, of the command test and of both, by a method chosen by name.
 
 - maximum_likelihood: every channel, leakage, the servos' real poles and delays in the model, with confidence intervals;

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The slow real pole of the servo's integral action, which curve fits of accelerations miss.
 
 Real and heavily damped, it shows in the brace force under zero command, in the table test.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stabilisation diagram: poles of rising order, and which of them stay the same from order to order.
 
 Poles of the structure come back at every order, in frequency, damping ratio and mode shape; poles that follow the noise

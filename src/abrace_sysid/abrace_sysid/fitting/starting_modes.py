@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Modes to start from: poles are given, and of each mode's residues the part of rank one, shape times drive."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Vector fitting: poles common to all channels of a measured transfer function (Gustavsen and Semlyen 1999).
 
 The relaxed form (Gustavsen 2006), each channel condensed by its own orthogonal factorisation (Deschrijver et al. 2008),

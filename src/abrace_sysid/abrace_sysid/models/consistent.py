@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The consistent model: one set of poles for every input, so that each mode of the rig appears once.
 
 Eqs. (6) and (7) give the superposed model each building pole three times, from three fits. The command controls none of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fitted modes as a state-space model: each pole pair one real 2 x 2 block, each real pole one state."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transfer functions with a common denominator as state-space models, and their superposition: Eqs. (3) to (7).
 
 With the poles given, A and B of the modal states are fixed, and what remains of the numerators (order n = m) is one

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Balanced truncation (Moore 1981) of the superposed model: Eq. (9) of the paper.
 
 In SI units the Gramians of the table's motion are 1e9 times those of the command. So inputs and outputs are scaled

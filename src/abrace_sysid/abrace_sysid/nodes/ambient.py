@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `ambient`: modes from bags of tests without commands, and whether the building has changed.
 
 abrace run abrace_sysid ambient --ros-args -p bag:=bags/after -p before:=bags/before -p output:=results/ambient

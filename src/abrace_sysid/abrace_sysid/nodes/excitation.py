@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `excitation`: banded white noise or a multisine as brace commands, for identification.
 
 abrace run abrace_sysid excitation --ros-args -p rms:=1800 -p band:=[0,30] -p duration:=300

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `identify`: bags of tests on the table and with the actuators, or measured data, to models, with figures.
 
 abrace run abrace_sysid identify --ros-args -p table:=table_noise -p command:=command_noise -p output:=model

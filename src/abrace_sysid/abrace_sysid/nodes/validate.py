@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `validate`: compares a bag with its simulation by a model, with the same test without control, or both.
 
 abrace run abrace_sysid validate --ros-args -p bag:=bags/first -p model:=model/model.json -p output:=check

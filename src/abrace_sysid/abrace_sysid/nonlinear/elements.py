@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is not linear in a rig, as forces on its identified model.
 
 Each element answers to a motion r of the model, with a force or an impulse:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the linear model leaves of its tests, explained by what is not linear in the rig.
 
 Of a linear model driven as in the test, and of n the forces of its elements,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is not linear in a rig, found in the tests of its identification and noted in its model."""
 
 from __future__ import annotations

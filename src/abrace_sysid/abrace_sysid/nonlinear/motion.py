@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The identified model with its elements that are not linear, sample by sample.
 
 Over a sample each element but joints holds against its motion with the constant force, or impulse, within its limit

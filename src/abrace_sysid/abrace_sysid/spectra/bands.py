@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What follows from a test with noise or a multisine itself: the band that it excites, and its slowest resonance."""
 
 from __future__ import annotations

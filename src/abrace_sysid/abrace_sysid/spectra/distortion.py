@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Levels of nonlinear distortion for a transfer function, from the lines of a multisine that no input excites.
 
 The distortion at these lines is representative of that at the excited lines between them (Schoukens and Pintelon

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transfer functions of recorded tests with noise, by a method chosen by name.
 
 The paper's "FFT technique" behind Figs. 3 to 5: the local rational method, the local polynomial method or Welch's.

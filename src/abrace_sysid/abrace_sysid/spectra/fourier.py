@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Discrete Fourier transforms of a whole recorded test: what transfer functions and a likelihood are computed from.
 
 Of the sampled rig, Y(k) = G(k) U(k) + T(k) + V(k) at every line k: U the inputs from each sample on, T the transient

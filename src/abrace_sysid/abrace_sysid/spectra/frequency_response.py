@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A measured transfer function with its uncertainty: the curves of Figs. 3 to 5.
 
 It is the response of the *sampled* rig: from an input's value at each sample (a command held until the next, a ground

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How inputs move between samples."""
 
 from __future__ import annotations

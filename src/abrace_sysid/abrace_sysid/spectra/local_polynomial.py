@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transfer functions by the local polynomial and the local rational method, of one test or of repeated ones.
 
 Lightly damped modes make leakage, not noise, the error that matters in the transfer functions of Figs. 3 to 5; these

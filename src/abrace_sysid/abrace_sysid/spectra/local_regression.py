@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Least squares of the local polynomial and local rational methods, for all frequency lines at once.
 
 About each line of a record's discrete Fourier transform, the response G and the transient (leakage) T in

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All tests of one input, with the transfer functions estimated from them."""
 
 from __future__ import annotations

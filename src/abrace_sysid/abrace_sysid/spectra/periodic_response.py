@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transfer functions from periodic tests (multisines), with the levels of noise and of nonlinear distortion.
 
 Whole periods of the steady response are transformed together. The response to a periodic input, distortion included,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transfer functions by Welch's method: averages over overlapping windowed segments (Bendat and Piersol 2010, ch. 6).
 
 The usual "FFT technique", for comparison. Its segments are shorter than the record, so that its error is leakage at

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether two estimates of the same modes agree: Wald's test, mode by mode."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All checks on an identification from measured data, for which the meaning of the channels is unknown."""
 
 from __future__ import annotations

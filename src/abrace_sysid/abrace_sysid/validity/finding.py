@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The finding of a check, as numbers and text, and the verdict over all findings."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All checks on one identification: from the tests, and from the model if there is one, to the findings."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sensors that contradict each other: swapped, in another unit, reversed or late.
 
 No model is needed. Absolute acceleration less the table's is the second derivative of a floor's displacement:

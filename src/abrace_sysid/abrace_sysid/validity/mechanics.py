@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Friction of storeys and backlash of braces, from the equations that every floor and every brace obeys.
 
 No model is needed. The acceleration of a floor, read as it is, follows from what the sensors read of the forces on it:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether what a model leaves over of a test is one more mode: then a single pole pair explains nearly all of it."""
 
 from __future__ import annotations

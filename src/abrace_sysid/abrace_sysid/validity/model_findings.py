@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Findings on the identified model: what it leaves over of the tests, whether the tests agree, the servos' lags."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The spectra of a test's channels, their noise, and the floors' displacements from all sensors of a floor together."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A finding on the prediction of a test that was not used: what no fit can be good at by itself."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Linear regression over frequency lines, with deviations that hold where the noise is coloured."""
 
 from __future__ import annotations

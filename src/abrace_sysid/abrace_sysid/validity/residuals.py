@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Residuals of the model in a test, line by line, compared with the sensors' noise.
 
 The model is simulated with the measured inputs; the leakage of the record's ends, a transient with the model's

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Findings on what is not linear in the rig: friction of storeys, backlash of braces."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Findings on the channels of the tests: dead, saturated, with spikes, swapped, in another unit, reversed, late."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Spikes of a channel: single readings far from their neighbours, as a loose plug or a lost byte makes them.
 
 What the neighbours of a reading say of it, by the cubic through two on either side, is right but for noise as long as

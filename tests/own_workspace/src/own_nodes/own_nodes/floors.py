@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node of a user's own, on abrace's libraries: reports the samples in a bag and the floors of a rig."""
 
 import sys
