@@ -114,6 +114,6 @@ def test_two_campaigns_are_set_side_by_side_with_their_differences(tmp_path: Pat
     text = compare_campaigns(tuesday, monday)
     (row,) = (line.split() for line in text.splitlines() if line.startswith("shaken"))
     assert row == ["shaken", "9.0", "6.0", "+50.0"]
-    assert "Differences: tuesday less monday." in (tuesday / "against_monday.html").read_text()
+    assert "Differences: tuesday minus monday." in (tuesday / "against_monday.html").read_text()
     with pytest.raises(AbraceError, match="the same campaign, expected another one"):
         compare_campaigns(monday, monday)

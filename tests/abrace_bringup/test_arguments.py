@@ -36,7 +36,7 @@ def test_every_argument_has_a_description_and_only_what_has_to_be_given_a_defaul
     assert all(argument.description for argument in table)
     lines = mistakes({argument.name: argument.default for argument in table}, table=table)
     refused = {line.partition(":=")[0] for line in lines}
-    assert refused == {argument.name for argument in table if "has to be given" in argument.description}
+    assert refused == {argument.name for argument in table if "required" in argument.description}
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def test_the_page_lists_the_arguments_with_their_defaults():
     rows = dict(re.findall(r"^\| `(\w+)` \| (.*?) \|", PAGE.with_name("launch.md").read_text(), re.MULTILINE))
     assert set(rows) == {argument.name for argument in (*CLOSED_LOOP, *IDENTIFICATION)}
     for argument in (*CLOSED_LOOP, *IDENTIFICATION):
-        default = "has to be given" if "has to be given" in argument.description else argument.default or "none"
+        default = "required" if "required" in argument.description else argument.default or "none"
         assert default in rows[argument.name].replace("`", "").split("; "), argument.name
 
 

@@ -74,7 +74,7 @@ SEVERAL = {"t": TIMED[:, 0], "q": {"a": VALUES}, "k": np.ones((3, 4)), "x": 1.0,
         ({"a": [1.0, np.nan, 2.0]}, None, "a, row 2: nan, expected a finite acceleration"),
         ({"a": [1.0, 2.0, -np.inf]}, "a", "a, row 3: -inf, expected a finite acceleration"),
         ({"a": [[0, 1], [0.1, 2], [0.3, 3], [0.4, 4], [0.5, 5]]}, None, "a, row 3: time step 0.2 s, expected equal"),
-        ({"a": [1.0, 1e308]}, None, "a value beyond all numbers"),
+        ({"a": [1.0, 1e308]}, None, "a value that overflows in m/s"),
     ],
 )
 def test_matlab_file_without_one_good_series_says_what_there_is(tmp_path, variables, channel, message):

@@ -84,7 +84,7 @@ def written(folder, name, content):
         ("a.txt", "1\n2\n", {"channel": "1"}, "channel '1' was given, expected none"),
         ("a.ns", KNET, {"channel": "N-S"}, "channel 'N-S' was given, expected none"),
         ("el_centro", "", {"channel": "1"}, "channel '1' was given, expected none"),
-        ("a.txt", "1e308\n2\n", {"unit": "g", "sample_period": 0.01}, "a value beyond all numbers in m/s"),
+        ("a.txt", "1e308\n2\n", {"unit": "g", "sample_period": 0.01}, "a value that overflows in m/s"),
         ("a.txt", "-1e308 1\n1e308 2\n", {"unit": "g"}, "line 2: times that do not increase"),
     ],
 )

@@ -336,7 +336,7 @@ def test_weight_lowers_the_frequencies_and_is_refused_where_measured_ones_are_gi
 def test_backlash_needs_oil_of_some_stiffness(tmp_path):
     written = edited(("braces", 0, "backlash"), 1e-4)
     written["braces"][0]["actuator"]["velocity_feedback"] = 0.0
-    assert refusal(written, tmp_path).startswith("braces.0.backlash: 0.0001 m, expected 0 where")
+    assert refusal(written, tmp_path).startswith("braces.0.backlash: 0.0001 m, expected 0 if")
 
 
 def test_the_rig_as_it_is_is_the_papers_while_it_moves_little():

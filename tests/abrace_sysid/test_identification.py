@@ -170,7 +170,9 @@ def test_the_model_is_the_likelihoods_and_meets_the_rig_in_the_whole_band(identi
 
 def test_a_lag_that_is_not_the_one_given_is_named(table_test, command_test):
     found = identify(table_test, command_test, IdentificationOptions(servo_lag=0.003))
-    assert found.warnings[0].startswith("bags/command: U lags by 0.81 ms, servo_lag says 3: the models have what was")
+    assert found.warnings[0].startswith(
+        "bags/command: U lags by 0.81 ms, servo_lag is 3 ms: the models have the measured"
+    )
     assert found.reduced.input_delay[1] == pytest.approx(0.00081, abs=1e-5)
 
 

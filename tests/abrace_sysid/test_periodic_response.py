@@ -209,7 +209,7 @@ def test_tests_that_repeat_a_realization_are_named(laboratory_of, rig):
     first = laboratory_of(rig, 1).multisine_test(False, True, 3)
     again = replace(laboratory_of(rig, 1).multisine_test(False, True, 4), source="bags/again")
     other = replace(laboratory_of(rig, 2).multisine_test(False, True, 3), source="bags/other")
-    expected = "bags/multisine and bags/again: the same multisine of U; expected a seed of its own for each"
+    expected = "bags/multisine and bags/again: the same multisine of U; expected different seeds"
     assert any(warning.startswith(expected) for warning in identify(table, [first, again]).warnings)
     assert not identify(table, [first, other]).warnings
 

@@ -237,7 +237,7 @@ def test_a_topic_with_two_types_is_a_fault_and_the_others_are_recorded_on(graph,
     publish_numbers(value, [3])
     until_counted(graph, "value", 3)
     assert graph.stop("logger") == 1
-    assert any("topics not recorded as asked" in line for line in graph.output_of("logger"))
+    assert any("topics not recorded as requested" in line for line in graph.output_of("logger"))
     assert sum("fault: " in line and "odd: has the types" in line for line in graph.output_of("logger")) == 1
     assert list(read_topics(bag)[f"{graph.namespace}/value"].fields["data"]) == [1, 2, 3]
     assert (bag / "metadata.yaml").is_file()

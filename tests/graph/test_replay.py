@@ -300,7 +300,7 @@ def test_what_the_middleware_does_not_take_is_said(
 def test_a_bag_of_commands_alone_is_refused_in_one_line_that_says_why(graph: Any, tmp_path: Path) -> None:
     graph.may_end.add("replay")
     graph.start("replay", bag=str(written(tmp_path, "/emergency_stop", "std_msgs/msg/Bool", b"\0\1\0\0\1")))
-    assert end_of_replay(graph, "no message on the topics to replay; /emergency_stop left out: a rig obeys") == 2
+    assert end_of_replay(graph, "no message on the topics to replay; /emergency_stop left out: they command a rig") == 2
     assert len(graph.output_of("replay")) == 1
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel
+from abrace_core.linear_model import LinearModel, takes_models
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -81,6 +81,7 @@ class BlockMaps:
         return blocks.reshape(len(blocks) * self.length, blocks.shape[1] // self.length)[:count]
 
 
+@takes_models
 def in_series(model: LinearModel, controller: LinearModel, correction: NDArray[np.float64]) -> LinearModel:
     """From ground acceleration and commands in force to the model's outputs and the next commands, before saturation.
 
@@ -107,6 +108,7 @@ def in_series(model: LinearModel, controller: LinearModel, correction: NDArray[n
     )
 
 
+@takes_models
 def steady_length(series: LinearModel) -> int:
     """Samples a block in which no motion of the `series` of model and controller grows by more than LARGEST_GROWTH."""
     growth = np.abs(np.linalg.eigvals(series.a)).max(initial=0.0)

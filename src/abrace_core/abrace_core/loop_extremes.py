@@ -16,7 +16,7 @@ import numpy as np
 from abrace_core.block_maps import BLOCK, BlockMaps, in_series, steady_length
 from abrace_core.compiled import compiled
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel
+from abrace_core.linear_model import LinearModel, takes_models
 from abrace_core.simulation import check_finite
 
 if TYPE_CHECKING:
@@ -77,6 +77,7 @@ class Extremes:
     saturated: NDArray[np.int64]
 
 
+@takes_models
 def loop_extremes(
     model: LinearModel,
     controller: LinearModel | None,

@@ -20,7 +20,7 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from abrace.report.node_table import NodeReports
+from abrace.report.node_table import NodeReport, NodeReports
 from abrace_core.errors import AbraceError
 from abrace_core.node import DIAGNOSTICS
 from abrace_core.suggestion import did_you_mean
@@ -112,7 +112,7 @@ class GraphOperator:
     def _heard_all(self) -> bool:
         endpoints = self.node.get_publishers_info_by_topic(DIAGNOSTICS)
         names = {_full_name(one) for one in endpoints} - {self.node.get_fully_qualified_name()}
-        return bool(names) and all(name in self.reports and self.reports[name].count > 1 for name in names)
+        return bool(names) and all(name in self.reports and _tells_rate(self.reports[name]) for name in names)
 
     def full_name(self, given: str) -> str:
         """The full name of a node, `given` as that or as its last part.
@@ -236,6 +236,11 @@ class GraphOperator:
         report = self.reports.get(node)
         reason = f": {report.message}" if report and report.failed else "; its log says why"
         raise Refused(f"refused, the node is {found}{reason}")
+
+
+def _tells_rate(report: NodeReport) -> bool:
+    """Whether reports have come that are far enough apart; of a node without samples two do."""
+    return report.count > 1 and (report.rate is not None or report.sequence < 0)
 
 
 def _full_name(endpoint: Any) -> str:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow
 
+from abrace_core.linear_model import takes_models
 from abrace_core.loop_extremes import loop_extremes
 from abrace_core.response import peak_rms_of
 from abrace_core.safety.rig_safety import RAMP_TIME
@@ -71,6 +72,7 @@ def compute_batch(study: FragilityStudy, batch: Sequence[Case]) -> pyarrow.Table
     return pyarrow.concat_tables(tables).combine_chunks()
 
 
+@takes_models
 def faulty(law: LinearModel, fault: Fault) -> LinearModel:
     """The `law` as it acts when one of its sensors has the `fault`."""
     factors = np.array([fault.factor if name == fault.sensor else 1.0 for name in law.inputs])

@@ -16,6 +16,7 @@ import numpy as np
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import takes_models
 from abrace_lqg.loop import sampled
 
 if TYPE_CHECKING:
@@ -183,6 +184,7 @@ class FragilityStudy:
         return sum(case.last - case.first for case in self.cases()) * len(self.intensities)
 
 
+@takes_models
 def with_drifts(model: LinearModel) -> LinearModel:
     """The `model` with the drift of each storey, d1, d2, ..., behind its outputs: x1, x2 - x1, ... [m].
 

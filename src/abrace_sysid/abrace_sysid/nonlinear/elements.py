@@ -28,7 +28,7 @@ import numpy as np
 from scipy import linalg
 
 from abrace_core import signals
-from abrace_core.linear_model import LinearModel
+from abrace_core.linear_model import LinearModel, takes_models
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -124,6 +124,7 @@ class Nonlinearity:
         return replace(model, provenance={**model.provenance, KEY: asdict(self)})
 
 
+@takes_models
 def with_elements(model: LinearModel, found: Nonlinearity) -> LinearModel:
     """The model with an input for the force or impulse of each element, and its motion r as an output.
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.discretization import discretize
+from abrace_core.linear_model import takes_models
 from abrace_core.simulation import simulate
 from abrace_sysid.nonlinear.elements import IMPULSES, Nonlinearity, with_elements
 from abrace_sysid.nonlinear.motion import simulate_nonlinear
@@ -42,6 +43,7 @@ YIELD = 5.0
 """Yield drift of joints over the greatest drift in the tests: far beyond it their force is all that matters of both."""
 
 
+@takes_models
 def find_elements(
     model: LinearModel, tests: Sequence[tuple[Run, tuple[float, float]]], candidates: Nonlinearity
 ) -> Nonlinearity:

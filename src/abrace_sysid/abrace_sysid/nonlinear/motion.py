@@ -14,6 +14,7 @@ import numpy as np
 
 from abrace_core.compiled import compiled
 from abrace_core.discretization import discretize
+from abrace_core.linear_model import takes_models
 from abrace_sysid.nonlinear.elements import IMPULSES, with_elements
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ class Motion:
     held: NDArray[np.float64]
 
 
+@takes_models
 def simulate_nonlinear(
     model: LinearModel,
     found: Nonlinearity,

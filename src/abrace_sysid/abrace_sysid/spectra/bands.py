@@ -23,6 +23,9 @@ EXCITED = 0.02
 LEAST_PERIODS = 20
 """Of the slowest motion that is identified within the record: slower ones hardly repeat themselves, sensors drift."""
 
+LOWEST = 0.25
+"""Where the band begins as a share of the slowest resonance's frequency."""
+
 EXPECTED_DAMPING = 0.015
 """Damping ratio that is expected of the slowest resonance."""
 
@@ -31,7 +34,7 @@ SMOOTHED = 9
 
 
 def excited_band(run: Run, name: str) -> tuple[float, float]:
-    """Lowest and highest frequency [Hz] that an input excites, from LEAST_PERIODS within the record on.
+    """Lowest and highest frequency [Hz] that an input excites.
 
     Parameters
     ----------
@@ -43,16 +46,18 @@ def excited_band(run: Run, name: str) -> tuple[float, float]:
     excitation = np.nan_to_num(held_input(run, name), posinf=0.0, neginf=0.0)
     power = np.abs(transform(excitation[:, None])[:, 0]) ** 2
     frequency = np.arange(len(power)) / (len(excitation) * run.sample_period)
-    lowest = LEAST_PERIODS / (len(excitation) * run.sample_period)
     if not power.any():
-        return lowest, 0.5 / run.sample_period
+        return 0.0, 0.5 / run.sample_period
     # of noise the power's own mean, weighted by itself, is twice that of the lines that carry it
     excited = frequency[power > EXCITED * np.sum(power**2) / np.sum(power) / 2]
-    return max(lowest, float(excited[0])), float(excited[-1])
+    return float(excited[0]), float(excited[-1])
 
 
 def common_band(runs: Sequence[Run], names: Sequence[str]) -> tuple[float, float]:
     """Of all tests and inputs that are excited in them: `excited_band`, where they overlap.
+
+    It begins where LEAST_PERIODS are within the longest test, and at LOWEST of the slowest resonance: below that a
+    building only follows statically, and what sensors drift counts.
 
     Parameters
     ----------
@@ -63,13 +68,16 @@ def common_band(runs: Sequence[Run], names: Sequence[str]) -> tuple[float, float
     """
     moving = [(run, name) for run in runs for name in names if np.any(held_input(run, name))]
     bands = [excited_band(run, name) for run, name in moving or [(runs[0], names[0])]]
-    return max(low for low, _ in bands), min(high for _, high in bands)
+    low, high = max(low for low, _ in bands), min(high for _, high in bands)
+    longest = max(runs, key=lambda run: len(run.outputs))
+    low = max(low, LEAST_PERIODS / (len(longest.outputs) * longest.sample_period))
+    if low >= high:
+        return low, high
+    return max(low, LOWEST * slowest_resonance(longest, (low, high))), high
 
 
-def slowest_bandwidth(run: Run | MeasuredData, band: tuple[float, float]) -> float:
-    """2 zeta omega [rad/s] of the slowest resonance, with the damping that is expected of it.
-
-    It is where the floors' displacements are greatest; of measured data where most channels are.
+def slowest_resonance(run: Run | MeasuredData, band: tuple[float, float]) -> float:
+    """Frequency [Hz] at which the floors' displacements are greatest; of measured data, where most channels are.
 
     Parameters
     ----------
@@ -80,6 +88,14 @@ def slowest_bandwidth(run: Run | MeasuredData, band: tuple[float, float]) -> flo
     """
     lines, omega = lines_within(run, len(run.outputs), band)
     floors = signals.response_names(run.floors, 0)[: run.floors] if isinstance(run, Run) else run.names
-    power = np.abs(transform(run.channels(floors))[lines]) ** 2
+    power = np.abs(transform(np.nan_to_num(run.channels(floors), posinf=0.0, neginf=0.0))[lines]) ** 2
     smooth = ndimage.uniform_filter1d(power, min(SMOOTHED, len(lines)), axis=0, mode="nearest")
-    return 2 * EXPECTED_DAMPING * float(np.median(omega[np.argmax(smooth, axis=0)]))
+    return float(np.median(omega[np.argmax(smooth, axis=0)])) / (2 * np.pi)
+
+
+def slowest_bandwidth(run: Run | MeasuredData, band: tuple[float, float]) -> float:
+    """2 zeta omega [rad/s] of the slowest resonance, with the damping that is expected of it.
+
+    `run`, `band`: as in slowest_resonance.
+    """
+    return 2 * EXPECTED_DAMPING * 2 * np.pi * slowest_resonance(run, band)

@@ -11,7 +11,7 @@ import numpy as np
 from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_sysid.models.modal import servo_lags
-from abrace_sysid.recordings import dead_channels, longest_piece
+from abrace_sysid.recordings import LEAST_SECONDS, dead_channels, longest_piece
 from abrace_sysid.spectra.fourier import held_input
 from abrace_sysid.spectra.periodic_response import find_period
 from abrace_sysid.validity import model_findings, rig_findings, sensor_findings
@@ -119,6 +119,8 @@ def judge_failure(
     progress
         How far it had come.
     """
+    if any(all(len(run.outputs) * run.sample_period < LEAST_SECONDS for run in tests) for tests in (table, command)):
+        return None
     judged = judge(table, command, options, None, str(error))
     return judged if judged.validity.causes or progress >= FITTING else None
 
