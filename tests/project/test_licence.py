@@ -3,6 +3,7 @@
 
 import subprocess
 
+import pytest
 from source_tree import ROOT
 
 PATTERNS = ("*.py", "*.sh", "*.bash", "*.c")
@@ -10,6 +11,8 @@ LINE = "SPDX-License-Identifier: Apache-2.0"
 
 
 def test_every_source_file_names_the_licence():
+    if not (ROOT / ".git").exists():
+        pytest.skip("a copy without git's list of files")
     listed = subprocess.run(["git", "ls-files", *PATTERNS], cwd=ROOT, capture_output=True, text=True, check=True)
     texts = {
         name: (ROOT / name).read_text(encoding="utf-8") for name in listed.stdout.split() if (ROOT / name).exists()
