@@ -47,7 +47,7 @@ BUFFER = 1 << 20
 LARGEST_RESOLUTION = 0.25
 """Of a target's time, in ticks: counter and time have to agree better than to half a tick."""
 LAST_COMMANDS = 3
-"""Packets with `enable: 0` that `make_safe` sends; several, as packets may be lost."""
+"""Packets with `enable` 0 that `make_safe` sends; several, as packets may be lost."""
 
 
 class UdpFile(DeviceFile):

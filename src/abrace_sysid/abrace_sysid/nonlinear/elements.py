@@ -3,15 +3,14 @@
 
 Each element answers to a motion r of the model, with a force or an impulse:
 
-friction of a storey   a force within its limit on the floors above and below it, against the rate of its drift
-joints of a storey     a force on the same floors: part of the storey's stiffness yields (Bouc 1967, Wen 1976, with
-                       exponent 1 and a yield drift far beyond the tests' drifts), so that softening and loss grow with
-                       the drift
-deadband of a valve    a force on the command, against the flow v + (tau / c) f': the force is short of the command by
-                       the error at which the valve still is shut
-backlash of the pins   an impulse on the command when the brace's force changes sign: while the rod crosses the
-                       clearance b, the servo's velocity feedback c makes c b less of the force's impulse
-seals of a brace       an impulse on the command when the stroke turns: the servo takes the friction back within its lag
+- Friction of a storey: a force within its limit on the floors above and below it, against the rate of its drift.
+- Joints of a storey: a force on the same floors. Part of the storey's stiffness yields (Bouc 1967, Wen 1976, with
+  exponent 1 and a yield drift far beyond the tests' drifts), so that softening and loss grow with the drift.
+- Deadband of a valve: a force on the command, against the flow v + (tau / c) f'. The force is short of the command by
+  the error at which the valve still is shut.
+- Backlash of the pins: an impulse on the command when the brace's force changes sign. While the rod crosses the
+  clearance b, the servo's velocity feedback c makes c b less of the force's impulse.
+- Seals of a brace: an impulse on the command when the stroke turns. The servo takes the friction back within its lag.
 
 The floors are moved by the building's modes, whose shapes are those of the model's displacements; by reciprocity they
 say how a force on a floor drives the modes, once the floors' masses are known (`validity.mechanics`). What an element
