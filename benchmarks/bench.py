@@ -23,12 +23,13 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from bag_reading import bag_reading
@@ -52,6 +53,10 @@ from abrace_plant.devices.simulated import SimulatedRig
 from abrace_plant.live.loop import RigLoop, rig_outputs
 from abrace_plant.rig.file import load_rig
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+T = TypeVar("T")
 HERE = Path(__file__).parent.resolve()
 ECHO_COUNT = 20_000
 PLANT_STEPS = 20_000
@@ -80,8 +85,9 @@ def bare_rates() -> tuple[float, float]:
 def lockstep() -> dict[str, Any]:
     """Samples a second of the lockstep graph; and round trips of an echo, and of a bare graph, before and after it."""
     save_controller(lqg3(), "lqg3.yaml")
+    campaign = Path(shutil.copy(HERE / "lockstep.yaml", "."))  # its controller is the one beside it
     before = bare_rates()
-    results = run_campaign(HERE / "lockstep.yaml").results
+    results = run_campaign(campaign).results
     after = bare_rates()
     (step,) = json.loads((results / "timing.json").read_text(encoding="utf-8"))["steps"]
     rate = step["samples"] / step["run_seconds"]
@@ -212,20 +218,32 @@ def campaign_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     ]
 
 
+def measured(name: str, measure: Callable[[], T]) -> T:
+    """What `measure` returns; prints the part's name, and how long it took."""
+    print(f"{name} ...", flush=True)
+    begin = time.monotonic()
+    found = measure()
+    print(f"{name}: {time.monotonic() - begin:.0f} s", flush=True)
+    return found
+
+
 def main() -> None:
     """Measure, write, print."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    found: dict[str, Any] = {"simulation": simulation_speed(), "plant_step_us": plant_step()}
-    found["identification"] = identification_speed()
-    found["explore"] = exploration_speed()
-    found["bags"] = bag_reading()
+    found: dict[str, Any] = {
+        "simulation": measured("simulation", simulation_speed),
+        "plant_step_us": measured("a sample of the rig", plant_step),
+        "identification": measured("identification", identification_speed),
+        "explore": measured("explore", exploration_speed),
+        "bags": measured("bags", bag_reading),
+    }
     with isolated():
-        found["lockstep"] = lockstep()
+        found["lockstep"] = measured("lockstep", lockstep)
         (bag,) = Path("bags/bench").glob("*/closed_loop")
         found["reading"] = reading(bag)
-        found |= controller_speed()
-        found["report"] = report_speed()
-        found["campaign"] = campaign_overhead()
+        found |= measured("controller", controller_speed)
+        found["report"] = measured("report", report_speed)
+        found["campaign"] = measured("campaign", campaign_overhead)
     write_text("results/bench.json", json.dumps(found, indent=1) + "\n")
     loop, bags, step = found["lockstep"], found["reading"], found["plant_step_us"]
     trip = 1e6 / loop["echo_per_second"]

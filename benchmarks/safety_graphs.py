@@ -138,6 +138,7 @@ class Table:
         graph.start("ground_motion")
         self.client = ActionClient(graph.node, PlayGroundMotion, "play_ground_motion")
         graph.until(self.client.server_is_ready, "the action")
+        graph.until(lambda: "ready" in graph.reported(), "the node to be active")
 
     def begin(self) -> None:
         """Nothing moves."""
