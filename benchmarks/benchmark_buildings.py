@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The 20-storey benchmark building: its shipped values, its sample controller, and abrace's own: `make verify`.
+"""The 20-storey benchmark building: shipped values, its sample controller, abrace's own, also live: `make verify`.
 
 The records are those of the folder that BENCHMARK_DATA names; without it nothing is measured.
 """
@@ -10,6 +10,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from benchmark_live import verify_live
 from claims import Claim
 
 from abrace.benchmark.comparison import Evaluation, worst_table
@@ -55,10 +56,12 @@ def verify_benchmark20() -> tuple[dict[str, Any] | None, list[Claim], list[Table
         for found in [peaks(benchmark.without_control(case, benchmark.newmark), benchmark.layout)]
         for name, shipped in (case.uncontrolled or {}).items()
     )
+    laws = references(benchmark)
     evaluations = {
         name: Evaluation.of(name, benchmark.evaluate(law), benchmark.layout, margins_of(benchmark, law))
-        for name, law in references(benchmark).items()
+        for name, law in laws.items()
     }
+    live, of_live, live_table = verify_live(benchmark, laws[OWN])
     sample, ours = evaluations[SAMPLE], evaluations[OWN]
     sample_worst = max(
         abs(sample.cases[case][name] / float(value) - 1)
@@ -71,6 +74,7 @@ def verify_benchmark20() -> tuple[dict[str, Any] | None, list[Claim], list[Table
         "frequencies_3_worst": of_three,
         "ours": _told(ours),
         "sample": _told(sample),
+        "live": live,
     }
     claims += [
         Claim("20-storey building: worst of 40 uncontrolled values", uncontrolled, 1e-4, "shipped values"),
@@ -83,8 +87,9 @@ def verify_benchmark20() -> tuple[dict[str, Any] | None, list[Claim], list[Table
         ),
         Claim("20-storey building: gain margin of our LQG [dB]", ours.margins["gain_margin_db"], 6.0, "sample", True),
         Claim("20-storey building: disk margin of our LQG", ours.margins["disk_margin"], 0.3, "sample", True),
+        *of_live,
     ]
-    return values, claims, [worst_table("20-storey benchmark building", [sample, ours])]
+    return values, claims, [worst_table("20-storey benchmark building", [sample, ours]), live_table]
 
 
 def _told(evaluation: Evaluation) -> dict[str, float]:

@@ -135,14 +135,13 @@ def _given_ones(benchmark: AnyBenchmark, given: argparse.Namespace, folder: Path
     from abrace.benchmark.comparison import Evaluation
     from abrace.benchmark.laws import margins_of
     from abrace.benchmark.live import is_node, run_live
+    from abrace.benchmark.recorded import of_tests
     from abrace.benchmark.rig_benchmark import RigBenchmark
     from abrace_bags import read_run
     from abrace_core.controller_file import load_controller
 
     if given.bag is not None:
-        if not isinstance(benchmark, RigBenchmark):
-            raise AbraceError(f"--bag: given with {given.name}, expected a benchmark of a rig")
-        found = {Path(given.bag).name: benchmark.of_tests(read_run(given.bag), read_run(given.uncontrolled))}
+        found = {Path(given.bag).name: of_tests(benchmark, read_run(given.bag), read_run(given.uncontrolled))}
         yield Evaluation.of("recorded", found, benchmark.layout)
     for one in given.controller:
         if is_node(one):

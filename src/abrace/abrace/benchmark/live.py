@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from abrace.benchmark.definition import record_path
+from abrace.benchmark.recorded import of_tests
 from abrace.report.recorded import recorded_tests
 from abrace_bags import read_run
 from abrace_core.errors import AbraceError
@@ -67,7 +68,7 @@ def run_live(benchmark: RigBenchmark, node: str, folder: Path) -> dict[str, tupl
         raise AbraceError(f"{node}: not to be trusted: {outcome.doubts[0]}, expected undisturbed tests")
     bags = {test.step: test.bag for test in recorded_tests(outcome.results, [str(step["name"]) for step in steps])}
     return {
-        case.name: benchmark.of_tests(read_run(bags[f"{CONTROLLED}{i}"]), read_run(bags[f"{FREE}{i}"]))
+        case.name: of_tests(benchmark, read_run(bags[f"{CONTROLLED}{i}"]), read_run(bags[f"{FREE}{i}"]))
         for i, case in enumerate(definition.cases, 1)
     }
 

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A benchmark on a rig: its linear model under recorded earthquakes, and recorded tests of it.
+"""A benchmark on a rig: its linear model under recorded earthquakes.
 
-Responses of a controller are those of the rig's linear model, exact, with the timing and the saturation of the graph;
-those of a bag are what the rig's sensors measured, velocities from displacements.
+Responses of a controller are those of the rig's linear model, exact, with the timing and the saturation of the graph.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from abrace.benchmark.criteria import Layout, Responses, criteria, peaks
 from abrace.benchmark.definition import record_path
@@ -32,10 +30,6 @@ if TYPE_CHECKING:
     from abrace.benchmark.definition import RigCase, RigDefinition
     from abrace_core.controller_file import Controller
     from abrace_core.linear_model import LinearModel
-    from abrace_core.run import Run
-
-VELOCITY_SPAN = 0.04
-"""Of a cubic through measured displacements, whose slope is their velocity [s]."""
 
 
 class RigBenchmark:
@@ -59,7 +53,7 @@ class RigBenchmark:
         braces = self.rig.braces
         self.layout = Layout(
             self.rig.building.masses,
-            np.full(self.rig.floors, self.rig.storey_height),
+            self.rig.storey_heights,
             tuple(group.floor for group in braces),
             tuple(group.count for group in braces),
             tuple(group.cosine for group in braces),
@@ -131,34 +125,3 @@ class RigBenchmark:
         if case.name not in self._uncontrolled:
             self._uncontrolled[case.name] = peaks(self.without_control(case), self.layout)
         return self._uncontrolled[case.name]
-
-    def recorded(self, run: Run) -> Responses:
-        """What a recorded test of the rig, a `run`, gave.
-
-        Raises
-        ------
-        AbraceError
-            If it is a test of another rig, or a part of it is missing.
-        """
-        rig = self.rig
-        if (run.floors, run.groups) != (rig.floors, rig.groups):
-            raise AbraceError(
-                f"{run.source}: {run.floors} floors and {run.groups} brace groups, expected those of {rig.name}: "
-                f"{rig.floors} and {rig.groups}"
-            )
-        if np.any(np.diff(run.sequence.astype(np.int64)) != 1):
-            raise AbraceError(f"{run.source}: samples are missing, expected a whole test")
-        x = run.outputs[:, : rig.floors]
-        span = 2 * round(VELOCITY_SPAN / run.sample_period / 2) + 1
-        if len(x) < span:
-            raise AbraceError(f"{run.source}: {len(x)} samples, expected {span} or more")
-        velocity = savgol_filter(x, span, 3, deriv=1, delta=run.sample_period, axis=0)
-        first = rig.floors + rig.groups
-        acceleration, force = run.outputs[:, first : first + rig.floors], run.outputs[:, first + rig.floors :]
-        return Responses(run.sample_period, x, velocity, acceleration, force)
-
-    def of_tests(self, controlled: Run, uncontrolled: Run) -> tuple[dict[str, float], Responses]:
-        """Criteria of a `controlled` test beside an `uncontrolled` one, and its responses."""
-        without: Mapping[str, float] = peaks(self.recorded(uncontrolled), self.layout)
-        found = self.recorded(controlled)
-        return criteria(found, self.layout, without), found

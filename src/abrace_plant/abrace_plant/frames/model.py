@@ -9,7 +9,7 @@ import numpy as np
 
 from abrace_core import signals
 from abrace_core.linear_model import LinearModel
-from abrace_plant.frames.structure import rayleigh_coefficients
+from abrace_plant.frames.structure import Structure, rayleigh_coefficients
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,6 +21,39 @@ if TYPE_CHECKING:
 STILL = 1e-9
 """Share of a mode's kinetic energy in the floors' horizontal motion, below which neither ground nor devices excite it:
 the modes that a symmetric frame has only vertically."""
+
+
+class LevelBuilding(NamedTuple):
+    """A whole building in the horizontal displacements of its levels, everything else following at once."""
+
+    stiffness: NDArray[np.float64]
+    """(levels, levels) [N/m]."""
+    damping: NDArray[np.float64]
+    """(levels, levels) [N s/m]."""
+    frequency_errors: NDArray[np.float64]
+    """(levels,) relative, of each of its modes beside the most similar one of the frame."""
+
+
+def level_building(building: FrameBuilding) -> LevelBuilding:
+    """A `building` condensed to its levels (Guyan 1965), with the levels' masses as the only ones.
+
+    Forces on levels that rest displace them as in the whole frame. What is left out is the floors' vertical inertia,
+    and the mass of levels below those of the building: `frequency_errors` tells how much that is. The damping is
+    a0 M + a1 K with a0 and a1 of the whole frame.
+    """
+    whole = building.frame.structure()
+    of_level = whole.displacements[3 * np.array(building.levels)]
+    flexible = np.linalg.solve(whole.stiffness, of_level.T)
+    stiffness = np.linalg.inv(of_level @ flexible)
+    stiffness = (stiffness + stiffness.T) / 2
+    masses = building.masses / building.frames
+    levels = Structure(np.diag(masses), stiffness, masses, whole.displacements @ flexible @ stiffness)
+    of_mass, of_stiffness = _rayleigh(building, whole.modes()[0])
+    return LevelBuilding(
+        building.frames * stiffness,
+        building.frames * (of_mass * levels.mass + of_stiffness * stiffness),
+        whole.frequency_errors(levels),
+    )
 
 
 class ModalBuilding(NamedTuple):
@@ -42,8 +75,7 @@ def modal_building(building: FrameBuilding, modes: int = 0) -> ModalBuilding:
     """The excited modes of one frame of a `building`; the slowest `modes` of them, 0: all."""
     structure = building.frame.structure()
     frequencies, shapes = structure.modes()
-    one, other = (frequencies[number - 1] for number in building.damped_modes)
-    of_mass, of_stiffness = rayleigh_coefficients((one, other), (building.damping_ratio,) * 2)
+    of_mass, of_stiffness = _rayleigh(building, frequencies)
     nodes = structure.displacements @ shapes
     energy = building.frame.masses[:, 0] @ nodes.reshape(-1, 3, len(frequencies))[:, 0] ** 2
     picked = np.flatnonzero(energy > STILL)[: modes or None]
@@ -61,6 +93,12 @@ def modal_building(building: FrameBuilding, modes: int = 0) -> ModalBuilding:
         nodes[3 * np.array(building.levels)],
         (building.frame.end_moments()[ends] @ nodes) * np.array(strength)[ends, None],
     )
+
+
+def _rayleigh(building: FrameBuilding, frequencies: NDArray[np.float64]) -> tuple[float, float]:
+    """a0 [1/s] and a1 [s] of a `building`, whose frame has these `frequencies` (modes,) [rad/s]."""
+    two = [float(frequencies[number - 1]) for number in building.damped_modes]
+    return rayleigh_coefficients(two, (building.damping_ratio,) * 2)
 
 
 def building_model(building: FrameBuilding, devices: Sequence[int] = (), modes: int = 0) -> LinearModel:

@@ -46,6 +46,10 @@ class Building:
         (floors,) Coulomb friction of each storey's bearings and guides [N]; empty: none.
     hysteresis
         Springs that yield, each in place of a part of the stiffness.
+    heights
+        (floors,) of the storeys [m]; empty: all alike.
+    frequency_errors
+        (floors,) of a frame condensed to its levels: relative, of each mode beside the whole frame's; empty: no frame.
     """
 
     masses: NDArray[np.float64]
@@ -53,6 +57,8 @@ class Building:
     damping: NDArray[np.float64]
     friction: tuple[float, ...] = ()
     hysteresis: tuple[Hysteresis, ...] = ()
+    heights: tuple[float, ...] = ()
+    frequency_errors: tuple[float, ...] = ()
 
     @property
     def floors(self) -> int:
@@ -79,14 +85,14 @@ def storey_direction(storey: int, floors: int) -> NDArray[np.float64]:
     return direction
 
 
-def gravity_stiffness(masses: NDArray[np.float64], storey_height: float) -> NDArray[np.float64]:
+def gravity_stiffness(masses: NDArray[np.float64], heights: float | NDArray[np.float64]) -> NDArray[np.float64]:
     """What the weight takes from the stiffness (floors, floors) [N/m]: P-Delta (Wilson 2002, sec. 11).
 
-    In a storey of `storey_height` h [m] that leans by a drift d, the weight W of the `masses` (floors,) [kg] above it
-    pushes on with W d / h.
+    In a storey of height h [m], one of the `heights`, that leans by a drift d, the weight W of the `masses` (floors,)
+    [kg] above it pushes on with W d / h.
     """
     weight = STANDARD_GRAVITY * np.cumsum(masses[::-1])[::-1]
-    return shear_stiffness(weight / storey_height)
+    return shear_stiffness(weight / heights)
 
 
 def shear_stiffness(storey_stiffness: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,9 @@ import pydantic
 
 from abrace_core.config_file import Checked
 from abrace_core.errors import AbraceError
+from abrace_core.installed import find_file
+from abrace_plant.frames.file import load_frame
+from abrace_plant.frames.model import level_building
 from abrace_plant.rig.building import (
     Building,
     gravity_stiffness,
@@ -25,7 +29,12 @@ from abrace_plant.rig.hysteresis import Hysteresis
 from abrace_plant.rig.plausibility import Number
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
+
+OF_FRAME = ("storey_height", "masses", "storey_stiffness", "stiffness", "modes", "damping_ratios", "rayleigh")
+"""Keys in whose place a frame file stands."""
 
 
 class _Modes(Checked):
@@ -49,8 +58,9 @@ class _Hysteresis(Checked):
 class BuildingContent(Checked):
     """The key `building`."""
 
-    storey_height: Positive
-    masses: Annotated[list[Positive], pydantic.Field(min_length=1)]
+    frame: str | None = None
+    storey_height: Positive | None = None
+    masses: Annotated[list[Positive], pydantic.Field(min_length=1)] | None = None
     storey_stiffness: list[Positive] | None = None
     stiffness: list[list[Real]] | None = None
     modes: _Modes | None = None
@@ -61,29 +71,72 @@ class BuildingContent(Checked):
     hysteresis: list[_Hysteresis] = []
 
 
-def read_building(content: BuildingContent) -> tuple[Building, list[Number], list[Number]]:
-    """The building of a rig file's `content`, and the numbers that state its stiffness and its damping.
+def read_building(content: BuildingContent) -> tuple[Building, float, list[Number], list[Number]]:
+    """The building of a rig file's `content`, its storey height [m], and the numbers that state stiffness and damping.
 
     Raises
     ------
     AbraceError
         Naming the key, the value and what was expected.
     """
-    masses = np.array(content.masses)
-    stiffness, stated_stiffness = _stiffness(content)
+    linear, height, stiffness, damping = _stated(content) if content.frame is None else _of_frame(content)
+    if content.friction:
+        expect_one_each(content.friction, "building.friction", linear.floors, "storeys")
+    springs = _springs(content, linear.masses, linear.stiffness)
+    return replace(linear, friction=tuple(content.friction), hysteresis=springs), height, stiffness, damping
+
+
+def frame_file(name: str) -> Path:
+    """The frame file of this name or path."""
+    return find_file(name, "abrace_plant", "config/frames", ".yaml", "frame")
+
+
+def _stated(content: BuildingContent) -> tuple[Building, float, list[Number], list[Number]]:
+    """A building that the rig file itself describes: as from `read_building`, without friction and springs."""
+    for key in ("storey_height", "masses"):
+        if getattr(content, key) is None:
+            raise AbraceError(f"building.{key}: key is missing")
+    assert content.masses is not None
+    assert content.storey_height is not None
+    masses, height = np.array(content.masses), content.storey_height
+    stiffness, stated_stiffness = _stiffness(content, masses)
     _expect_definite(".".join(stated_stiffness[0].key.split(".")[:2]), masses, stiffness)
     if content.p_delta:
         expect(
             content.modes is None, "building.p_delta", True, "false: measured frequencies are those under the weight"
         )
-        stiffness = stiffness - gravity_stiffness(masses, content.storey_height)
-        _expect_definite("building.p_delta", masses, stiffness)
-    damping, stated_damping = _damping(content, stiffness)
-    if content.friction:
-        expect_one_each(content.friction, "building.friction", len(masses), "storeys")
-    springs = _springs(content, masses, stiffness)
-    building = Building(masses, stiffness, damping, tuple(content.friction), springs)
-    return building, stated_stiffness, stated_damping
+        stiffness = _leaning(masses, stiffness, height)
+    damping, stated_damping = _damping(content, masses, stiffness)
+    return Building(masses, stiffness, damping), height, stated_stiffness, stated_damping
+
+
+def _of_frame(content: BuildingContent) -> tuple[Building, float, list[Number], list[Number]]:
+    """A building that a frame file describes: as from `read_building`, without friction and springs."""
+    for key in OF_FRAME:
+        expect(getattr(content, key) is None, f"building.{key}", "given", "none: building.frame has it")
+    assert content.frame is not None
+    frame = load_frame(frame_file(content.frame))
+    levels = level_building(frame)
+    stiffness = _leaning(frame.masses, levels.stiffness, frame.heights) if content.p_delta else levels.stiffness
+    building = Building(
+        frame.masses,
+        stiffness,
+        levels.damping,
+        heights=tuple(frame.heights.tolist()),
+        frequency_errors=tuple(levels.frequency_errors.tolist()),
+    )
+    frequencies = [Number("building.frame", float(value), "rad/s") for value in building.modes()[0]]
+    ratio = Number("building.frame", frame.damping_ratio, "of critical")
+    return building, float(frame.heights.mean()), frequencies, [ratio]
+
+
+def _leaning(
+    masses: NDArray[np.float64], stiffness: NDArray[np.float64], heights: float | NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The stiffness under the building's weight."""
+    found = stiffness - gravity_stiffness(masses, heights)
+    _expect_definite("building.p_delta", masses, found)
+    return found
 
 
 def _springs(
@@ -101,9 +154,9 @@ def _springs(
     return tuple(Hysteresis(**dict(spring)) for spring in content.hysteresis)
 
 
-def _stiffness(building: BuildingContent) -> tuple[NDArray[np.float64], list[Number]]:
+def _stiffness(building: BuildingContent, masses: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[Number]]:
     """The condensed stiffness (floors, floors) [N/m], and the numbers that state it."""
-    floors = len(building.masses)
+    floors = len(masses)
     _expect_one_of(building, "storey_stiffness", "stiffness", "modes")
     if building.storey_stiffness is not None:
         key, storeys = "building.storey_stiffness", building.storey_stiffness
@@ -129,15 +182,17 @@ def _stiffness(building: BuildingContent) -> tuple[NDArray[np.float64], list[Num
     for i, shape in enumerate(modes.shapes):
         expect_one_each(shape, f"building.modes.shapes.{i}", floors, "floors")
     try:
-        matrix = stiffness_of_modes(np.array(building.masses), np.array(frequencies), np.array(modes.shapes).T)
+        matrix = stiffness_of_modes(masses, np.array(frequencies), np.array(modes.shapes).T)
     except AbraceError as error:
         raise AbraceError(f"building.modes.shapes: {error}") from error
     return matrix, _numbers(key, frequencies, "rad/s", 1.0)
 
 
-def _damping(building: BuildingContent, stiffness: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[Number]]:
+def _damping(
+    building: BuildingContent, masses: NDArray[np.float64], stiffness: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], list[Number]]:
     """The condensed damping (floors, floors) [N s/m], and the ratios that state it."""
-    floors, masses = len(building.masses), np.array(building.masses)
+    floors = len(masses)
     _expect_one_of(building, "damping_ratios", "rayleigh")
     if building.damping_ratios is not None:
         key, ratios = "building.damping_ratios", building.damping_ratios
