@@ -89,6 +89,29 @@ def test_a_sensor_of_the_wrong_sign_is_named(table_test):
     ]
 
 
+def test_the_stroke_of_a_brace_between_two_floors_has_the_sign_of_the_upper_one(table_test):
+    lower, upper = table_test.channels(["x1", "x2"]).T
+
+    def spanned(sign):
+        return changed(table_test, "xf", lambda _: sign * (0.78 * upper - 0.8 * lower))
+
+    assert changes(spanned(1.0)) == []
+    assert changes(spanned(-1.0)) == [("reversed", ("xf",), "")]
+
+
+def test_a_force_that_stays_at_zero_while_it_reverses_and_the_blow_after_it_are_no_spikes(command_test):
+    force, floor = (command_test.channels([name])[:, 0] for name in ("f", "a1"))
+    after = 10 + np.flatnonzero(force[9:-11] * force[10:-10] < 0)
+    fastest = after[np.argsort(np.abs(force[after]))[-10:]]
+    force[fastest] = 0.0
+    floor[fastest] += 2.0 * np.std(floor)
+    loose = changed(changed(command_test, "f", lambda _: force), "a1", lambda _: floor)
+    (found,) = spiked(loose, command_test.names)
+    assert found.verdict == Verdict.TRUST, found.meaning
+    (found,) = spiked(changed(command_test, "a1", lambda _: floor), command_test.names)
+    assert "a1 has 10 spikes" in found.meaning
+
+
 @pytest.mark.parametrize("name", ["x1", "a2", "f"])
 def test_spikes_are_counted_and_named_and_noise_is_none(table_test, command_test, name):
     where, size = np.array([9000, 21000, 21500]), np.array([3.0, -2.0, 1.5])

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which pairs of poles are modes of the building, and the same modes in several fits, by their shapes.
+"""Finds the pole pairs that are modes of the building, and the same modes in several fits, by their mode shapes.
 
-In a mode of the building the floors move as the accelerometers on them read: the shape of the accelerations is that of
-the displacements times the pole squared. In a local mode (a slab, torsion, a brace) accelerometers and braces move, and
-the floors' displacements hardly.
+In a mode of the building the shape of the accelerations equals that of the displacements times the pole squared. In a
+local mode (a slab, torsion, a brace) accelerations and strokes are large, but the floors' displacements are small.
 """
 
 from __future__ import annotations
@@ -25,15 +24,15 @@ NEAR = 0.1
 
 
 def building_modes(estimate: PoleEstimate, floors: int) -> NDArray[np.int64]:
-    """(modes,) places among `estimate.poles` of the pairs that are the building's, slowest first.
+    """(modes,) indices into `estimate.poles` of the building's pole pairs, slowest first.
 
     Parameters
     ----------
     estimate
-        Its outputs have displacements x1, x2 ... and accelerations a1, a2 ... of the same floors; where they have not,
-        the slowest pairs are taken.
+        The fit; its outputs are displacements x1, x2 ... and accelerations a1, a2 ... of the same floors. Without
+        these the slowest pairs are taken.
     floors
-        Of the building: as many modes at most.
+        Number of floors, which is the greatest number of modes.
     """
     pairs = np.flatnonzero(estimate.poles.imag > 0)
     pairs = pairs[np.argsort(np.abs(estimate.poles[pairs]))]
@@ -50,14 +49,14 @@ def building_modes(estimate: PoleEstimate, floors: int) -> NDArray[np.int64]:
 
 
 def same_modes(estimate: PoleEstimate, wanted: NDArray[np.int64], other: PoleEstimate) -> NDArray[np.int64]:
-    """(modes,) places among `other.poles` of the modes that are at the places `wanted` of `estimate`; -1: not there.
+    """(modes,) indices into `other.poles` of the modes `wanted` of `estimate`; -1: not found.
 
     Parameters
     ----------
     estimate, other
-        With the same outputs.
+        Two fits with the same outputs.
     wanted
-        Pairs.
+        (modes,) indices into `estimate.poles`, of pairs.
     """
     unit = np.sqrt(np.mean(np.abs(estimate.shapes[:, wanted]) ** 2, axis=1, keepdims=True))
     unit[unit == 0] = 1.0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lines of tests near some modes: basis, slopes and channels, and their triangular factor.
+"""The frequency lines of tests, linearised at given modes: basis, derivatives (slopes), channels, and a QR factor.
 
-The lines are used once, in an orthogonal factorisation of the three side by side; everything after that is done with
-the triangular factor, whose size does not depend on the length of the test.
+The lines are used once, in an orthogonal factorisation of [basis, slopes, channels]. All further computations use the
+triangular factor, whose size does not depend on the length of the test.
 """
 
 from __future__ import annotations
@@ -29,10 +29,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Slope:
-    """A parameter's slope in a test: columns, which coefficients multiply them, as a complex number times a factor.
+    """The derivative of a test's response with respect to one parameter: columns times coefficients times a factor.
 
-    `columns` are places in the test's basis and slopes side by side, `parameter` is the place of the parameter, real or
-    complex.
+    `columns` are indices into the test's [basis, slopes]; `parameter` is the index of the parameter, real or complex.
     """
 
     columns: slice
@@ -43,10 +42,10 @@ class Slope:
 
 @dataclass(frozen=True)
 class CondensedLines:
-    """One test: its basis, slopes and channels at every line, stacked real above imaginary, and condensed.
+    """One test: its basis, slopes and channels at every line, real parts above imaginary parts, and their QR factor.
 
-    `observation` is the test; `columns` are the places of the basis among all coefficients; `basis`, `slopes` (the
-    basis first), `measured` have 2 lines rows; `small` is the triangular factor of slopes and channels side by side.
+    `observation` is the test; `columns` are the indices of the basis among all coefficients; `basis`, `slopes` (which
+    begin with the basis) and `measured` have 2 * lines rows; `small` is the triangular factor of [slopes, measured].
     """
 
     observation: Observation
@@ -64,7 +63,7 @@ class CondensedLines:
         return self.small[:, :first], self.small[:, :second], self.small[:, second:]
 
     def derivatives(self, coefficients: NDArray[np.float64], parameters: int) -> sparse.csr_matrix:
-        """(parameters, slopes) that make of the slopes the derivatives of a channel with these `coefficients`."""
+        """(parameters, slopes) matrix from the slopes to the derivatives of a channel with these `coefficients`."""
         columns, rows, places, factors = self._entries
         values = factors[:, 0] * coefficients[places[:, 0]] + factors[:, 1] * coefficients[places[:, 1]]
         return sparse.csr_matrix((values, (rows, columns)), shape=(parameters, self.slopes.shape[1]))
@@ -73,7 +72,7 @@ class CondensedLines:
     def _entries(
         self,
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-        """Slopes and parameters of all entries of `derivatives`; places of two coefficients each, and their factors."""
+        """For all entries of `derivatives`: slope, parameter, the indices of two coefficients, and their factors."""
         columns, rows, places, factors = [], [], [], []
         for kind in self.kinds:
             first, last = kind.coefficient.start, kind.coefficient.stop - 1
@@ -91,10 +90,10 @@ class CondensedLines:
 
 
 def condensed(observations: Sequence[Observation], inputs: Sequence[str], modes: Modes) -> tuple[CondensedLines, ...]:
-    """Each test's lines near some modes, with their triangular factor.
+    """Each test's lines, linearised at given modes, with their triangular factor.
 
-    The coefficients of a channel are those of all modes, then direct terms of each group of tests with the same inputs
-    and modes, then each test's transient.
+    The coefficients of a channel are those of all modes, then the direct terms of each group of tests with the same
+    inputs and modes, then each test's transient.
 
     Parameters
     ----------
@@ -103,7 +102,7 @@ def condensed(observations: Sequence[Observation], inputs: Sequence[str], modes:
     inputs
         Names of all inputs.
     modes
-        Near which.
+        The modes at which the lines are linearised.
 
     Raises
     ------
@@ -138,12 +137,12 @@ def condensed(observations: Sequence[Observation], inputs: Sequence[str], modes:
 def direct_terms(
     observations: Sequence[Observation], inputs: Sequence[str], modes: Modes
 ) -> tuple[dict[tuple[tuple[str, ...], tuple[int, ...]], int], int]:
-    """Of each group of tests with the same inputs and modes where its direct terms are, and where the last one ends.
+    """For each group of tests with the same inputs and modes, the index of its direct terms; and the index after them.
 
     Parameters
     ----------
     observations, inputs, modes
-        As of `condensed`.
+        As for `condensed`.
     """
     end = columns_of(modes.poles)[-1].stop
     found: dict[tuple[tuple[str, ...], tuple[int, ...]], int] = {}
@@ -164,9 +163,9 @@ def _lines_of(
     transient_at: int,
     direct_at: int,
 ) -> tuple[list[NDArray[np.complex128]], list[NDArray[np.complex128]], list[int], tuple[Slope, ...]]:
-    """Basis of the modes, of their transients and of direct terms, slopes with every parameter, where coefficients are.
+    """The basis (modes, transients, direct terms), the slopes of every parameter, and the coefficients' indices.
 
-    Places of the slopes among their own columns are behind those of the basis.
+    The indices of slopes begin after those of the basis.
     """
     z = observation.z
     named = [inputs.index(name) for name in observation.inputs]
@@ -243,9 +242,9 @@ def _lines_of(
 
 
 def combined(sides: Sequence[NDArray[np.complex128]], vector: NDArray[Any]) -> list[NDArray[np.complex128]]:
-    """Responses to the inputs (lines, inputs) of both `sides` of a pair, weighed by a `vector`, in two combinations.
+    """Two real combinations of the responses (lines, inputs) of both `sides` of a pair, weighted by a `vector`.
 
-    Of a real pole there is one side, and one combination.
+    A real pole has one side and one combination.
     """
     if len(sides) == 1:
         return [sides[0] @ vector]

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The covariance of fitted modes, from what they leave over of the tests themselves, in two ways.
+"""The covariance of fitted modes, estimated from the residuals of the tests in two ways.
 
 By lines    each frequency line is a cluster (White 1980; MacKinnon and White 1985, HC3): right for noise of any
             spectrum, correlated from channel to channel as that of a measured input is.
 By pieces   nonlinear distortion is made of the same input at all lines, so that lines depend on each other and
             clusters of lines miss up to three quarters of the variance (Schoukens and Pintelon 2010): damping that
-            depends on the amplitude goes with the envelope of the motion. In time, its effect ends with the memory of
-            the structure. So the scores of a record are taken back to time, and their slow fluctuation is measured by
-            as many cosines as the record has memories (Mueller 2007; Lazarus et al. 2018). A multisine repeats its
-            distortion; there the pieces are its realizations, tests with other phases, four at least.
+            depends on the amplitude follows the envelope of the motion. In time, its effect is limited to the memory of
+            the structure. Therefore the scores of a record are transformed to time, and their slow fluctuation is
+            estimated with as many cosines as the record is memories long (Mueller 2007; Lazarus et al. 2018). A
+            multisine repeats its distortion; its pieces are realizations, tests with other phases, at least four.
 
-Deviations are those by lines, except where those by pieces differ by more than chance; of fewer than eight pieces they
-are the larger of both. Those by pieces are widened to what normal intervals of so few need (Student 1908). Correlations
-are those by lines, of which there are enough.
+Standard deviations are those by lines, unless those by pieces differ significantly; with fewer than eight pieces the
+larger of both is used. Those by pieces are widened for their few degrees of freedom (Student 1908). Correlations are
+those by lines, because there are many lines.
 """
 
 from __future__ import annotations
@@ -34,26 +34,26 @@ LEAST_PIECES = 4
 """Fewest cosines of a record; fewest realizations of a multisine from which a variance is taken."""
 
 ENOUGH_PIECES = 8
-"""From which their variance is trusted where it is less than that by lines."""
+"""Fewest pieces whose variance is used if it is less than that by lines."""
 
 CHANCE = 0.05
-"""That the variance by pieces is as high above that by lines, or as far below, where both are right."""
+"""Significance level of a difference between the variances by pieces and by lines."""
 
 MOST_LEVERAGE = 0.9
-"""Of a line in its own fit that HC3 allows for."""
+"""Upper limit of a line's leverage in HC3."""
 
 
 def covariance(likelihood: Likelihood, joint: Likelihood | None = None) -> NDArray[np.float64]:
-    """Of the parameters of `Modes.parameters`, and if `joint` is given of each channel's `lasting` coefficients too.
+    """Covariance of the parameters of `Modes.parameters` and, if `joint` is given, of the `lasting` coefficients.
 
-    0: fixed.
+    Fixed parameters have a covariance of 0.
 
     Parameters
     ----------
     likelihood
-        At its maximum.
+        The likelihood at its maximum.
     joint
-        The likelihood of the same tests and modes that the coefficients are from; None: that of the modes is enough.
+        The likelihood, of the same tests and modes, with the coefficients; None: only parameters are wanted.
     """
     influence = _influence(likelihood, joint)
     by_lines, by_pieces = np.zeros_like(influence), np.zeros_like(influence)
@@ -78,7 +78,7 @@ def covariance(likelihood: Likelihood, joint: Likelihood | None = None) -> NDArr
 
 
 def _kinds(likelihood: Likelihood) -> list[list[int]]:
-    """The tests: each record with noise alone, multisines on the same inputs together."""
+    """Groups of tests, by index: each record with noise alone, multisines on the same inputs together."""
     records: list[list[int]] = []
     periodic: dict[tuple[str, ...], list[int]] = {}
     for i, test in enumerate(likelihood.tests):
@@ -92,9 +92,9 @@ def _kinds(likelihood: Likelihood) -> list[list[int]]:
 def _scatter(
     likelihood: Likelihood, tests: list[int], joint: Likelihood | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Of the scores of tests of one kind: by lines, by pieces, and how many pieces are free; infinite: there are none.
+    """Covariance of the scores of one group of tests by lines and by pieces, and the pieces' degrees of freedom.
 
-    With too few pieces those by lines are used instead.
+    With too few pieces the covariance by lines is given for both, with infinite degrees of freedom.
     """
     whole, by_test = [], []
     for i in tests:
@@ -115,7 +115,7 @@ def _scatter(
 
 
 def _influence(likelihood: Likelihood, joint: Likelihood | None) -> NDArray[np.float64]:
-    """(parameters, scores) what a score moves: the inverse of the normal matrix, of coefficients too if `joint`."""
+    """(parameters, scores) change of the parameters per score, with coefficients if `joint`: inverse normal matrix."""
     of_modes = likelihood.inverse()
     if joint is None:
         return of_modes
@@ -124,18 +124,18 @@ def _influence(likelihood: Likelihood, joint: Likelihood | None) -> NDArray[np.f
     found = np.eye(parameters + len(kept) * len(joint.channels))
     found[:parameters, :parameters] = of_modes
     for first, channel in zip(range(parameters, len(found), len(kept)), joint.channels, strict=True):
-        # coefficients follow the modes: what these move of the channel they take back, as far as they can
+        # coefficients depend on the modes: they compensate for changes of the modes as far as they can
         found[first : first + len(kept), :parameters] = -channel.projection[kept] @ of_modes
     return found
 
 
 def lasting(likelihood: Likelihood) -> NDArray[np.int64]:
-    """Places of the coefficients that a model is made of: shapes and direct terms, without any test's transient.
+    """Indices of the coefficients that belong to a model: shapes and direct terms, without the tests' transients.
 
     Parameters
     ----------
     likelihood
-        Of some tests.
+        The likelihood of the tests.
     """
     inputs = tuple(dict.fromkeys(name for test in likelihood.tests for name in test.observation.inputs))
     _, end = direct_terms([test.observation for test in likelihood.tests], inputs, likelihood.modes)
@@ -143,9 +143,9 @@ def lasting(likelihood: Likelihood) -> NDArray[np.int64]:
 
 
 def _scores(likelihood: Likelihood, test: int, joint: Likelihood | None, in_time: bool) -> NDArray[np.float64]:
-    """(lines, scores) of one test: derivatives of its log likelihood, line by line or in as many pieces of time.
+    """(lines, scores) derivatives of one test's log likelihood, by line or, `in_time`, by as many pieces of time.
 
-    Those of coefficients are given as what they move of them.
+    For coefficients: the changes of the coefficients.
     """
     one, parameters = likelihood.tests[test], len(likelihood.gradient)
     lines, own = len(one.measured) // 2, one.columns
@@ -166,7 +166,7 @@ def _scores(likelihood: Likelihood, test: int, joint: Likelihood | None, in_time
 
 
 def _in_time(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The band's signals in time, of lines; real parts above imaginary ones both."""
+    """The band's signals in time from `rows` of lines; real parts above imaginary parts in both."""
     half = len(rows) // 2
     series = fft.ifft(rows[:half] + 1j * rows[half:], axis=0)
     return np.vstack([series.real, series.imag])
@@ -181,7 +181,7 @@ def _product(slopes: NDArray[np.float64], residual: NDArray[np.float64]) -> NDAr
 
 
 def _leverage(likelihood: Likelihood, test: int) -> NDArray[np.float64]:
-    """(lines,) share of a line's own residual that its fit takes, mean of the channels."""
+    """(lines,) leverage of each line: the share of its own error that the fit follows, mean of the channels."""
     one = likelihood.tests[test]
     # the channels of one test have the same basis and differ by a factor alone
     channels = likelihood.channels if len(likelihood.tests) > 1 else likelihood.channels[:1]
@@ -194,7 +194,7 @@ def _leverage(likelihood: Likelihood, test: int) -> NDArray[np.float64]:
 
 
 def _memories(likelihood: Likelihood, test: int) -> int:
-    """How many memories of the structure a record has: its length times the narrowest half-power bandwidth."""
+    """Length of a record in memories of the structure: duration times the narrowest half-power bandwidth."""
     observation, modes = likelihood.tests[test].observation, likelihood.modes
     shown = list(observation.shown(modes.poles))
     decay = np.abs(modes.poles.real[shown])[(modes.poles.imag[shown] > 0) & ~modes.fixed[shown]]

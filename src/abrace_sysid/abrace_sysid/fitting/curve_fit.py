@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 RELATIVE_ERROR = 0.01
-"""Share of |g| that is added to a line's standard deviation as error of the model class."""
+"""Error of the model class, as a share of |g|, that is added to a line's variance."""
 
 ITERATIONS = 50
 CONVERGED = 1e-8

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The covariance of a fit in terms of its poles, drives, shapes, direct terms and delays, which a model is made of."""
+"""The covariance of a fit's model: poles, drives, shapes, direct terms and delays."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 
 def inflation(likelihood: Likelihood, covariance: NDArray[np.float64]) -> float:
-    """Variance of a pair over that with channels and lines that are independent, of the pair with most of it.
+    """Greatest ratio, over the pairs, of a pair's variance to its variance if channels and lines were independent.
 
     Parameters
     ----------
     likelihood
-        At its maximum.
+        The likelihood at its maximum.
     covariance
-        Of its parameters.
+        Covariance of its parameters.
     """
     modes, free = likelihood.modes, likelihood.free
     independent = np.diag(likelihood.inverse())
@@ -45,11 +45,11 @@ def of_entries(
     Parameters
     ----------
     likelihood
-        At its maximum.
+        The likelihood at its maximum.
     covariance
-        Of its parameters, and of each channel's coefficients but those of transients.
+        Covariance of its parameters and of each channel's coefficients, without those of transients.
     inputs, unit
-        Names of all inputs, and (inputs,) the units in which they are in the likelihood.
+        Names of all inputs, and (inputs,) their units in the likelihood.
     """
     modes, channels = likelihood.modes, len(likelihood.channels)
     places, count, first = columns_of(modes.poles), len(inputs), len(likelihood.gradient)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The likelihood of recorded tests near one set of modes, to second order; `maximum_likelihood` climbs it."""
+"""The likelihood of recorded tests near given modes, to second order; `maximum_likelihood` maximises it."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
     from abrace_sysid.fitting.observation import Observation
 
 FASTEST = 8.0
-"""Greatest decay (or growth) of a pole within a sample, as exponent: faster ones are no poles of a sampled rig."""
+"""Greatest decay (or growth) of a pole within a sample, as exponent: a sampled rig shows no faster poles."""
 
 DEGENERATE = 1e-12
-"""Share of a basis column that is independent of the others, below which two poles coincide."""
+"""Two poles coincide if the share of a basis column that is independent of the others is less than this."""
 
 LEAST_DAMPING = 1e-11
-"""Share of a parameter's own curvature below which the tests do not tell it from others."""
+"""A parameter is indistinguishable from others if the independent share of its curvature is less than this."""
 
 REWEIGHTINGS = 8
-"""Most fits of a channel that several tests share, each with the noise that the last one left over in each test."""
+"""Most iterations of a channel's fit to several tests; each uses the noise levels of the iteration before."""
 
 SAME_NOISE = 1e-3
-"""Relative change of these levels that ends the fits."""
+"""Relative change of these levels that ends the iterations."""
 
 
 @dataclass(frozen=True)
 class _Channel:
-    """One channel in all tests: its coefficients, noise power in each test, and what the poles' slopes leave."""
+    """One channel in all tests: its coefficients, noise power in each test, residuals and derivatives."""
 
     coefficients: NDArray[np.float64]
     power: NDArray[np.float64]
@@ -51,16 +51,16 @@ class _Channel:
 
 @dataclass(frozen=True)
 class Likelihood:
-    """The likelihood of all tests near some modes.
+    """The likelihood of all tests near given modes.
 
     Parameters
     ----------
     modes
-        Where it is.
+        The modes at which it is computed.
     normal, gradient
-        Of half the cost with the parameters of `Modes.parameters`, in Gauss and Newton's approximation.
+        Hessian, in the Gauss-Newton approximation, and gradient of half the cost; parameters of `Modes.parameters`.
     cost
-        -2 log likelihood, less a constant.
+        -2 log likelihood, minus a constant.
     """
 
     modes: Modes
@@ -72,7 +72,7 @@ class Likelihood:
 
     @classmethod
     def at(cls, observations: Sequence[Observation], inputs: Sequence[str], modes: Modes) -> Likelihood | None:
-        """None where it is not defined: poles that coincide or are too fast, or a pair that crossed the real axis.
+        """Compute it; None if poles coincide or are too fast, or a pair has crossed the real axis.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ class Likelihood:
         inputs
             Names of all inputs.
         modes
-            Where it is taken.
+            The modes at which it is computed.
         """
         exponents = modes.poles * observations[0].samplings[0].sample_period
         highest = 10 * np.pi if observations[0].samplings[0].hold == "band" else np.pi
@@ -105,7 +105,7 @@ class Likelihood:
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """(parameters,) all but those of fixed poles."""
+        """(parameters,) whether a parameter is free: all except those of fixed poles."""
         free = np.ones(len(self.gradient), dtype=np.bool_)
         for mode, direction, columns in self.modes.parameters():
             if direction is None and self.modes.fixed[mode]:
@@ -113,10 +113,9 @@ class Likelihood:
         return free
 
     def step(self, damping: float, fastest: float) -> NDArray[np.float64]:
-        """Step of the parameters by Levenberg and Marquardt, shortened by `damping` of each one's own curvature.
+        """Levenberg-Marquardt step of the parameters; `damping` is a share of each parameter's own curvature.
 
-        A real pole that is as fast as can be told (`fastest`, [rad/s]) and would be faster stays where it is, and so
-        does a delay of zero that would be less.
+        A real pole at the limit `fastest` [rad/s] does not become faster, and a delay of zero does not become negative.
         """
         free = self.free
         for i, column in self.modes.delay_columns().items():
@@ -138,7 +137,7 @@ class Likelihood:
         return float(np.sqrt(step @ self.normal @ step))
 
     def inverse(self) -> NDArray[np.float64]:
-        """Of the normal matrix, over the parameters that are free; 0: fixed. What others can stand for is damped."""
+        """Inverse of the normal matrix, with zeros for fixed parameters; indistinguishable parameters are damped."""
         free = np.ix_(self.free, self.free)
         unit = 1 / np.sqrt(np.diag(self.normal)[self.free])
         found = np.zeros_like(self.normal)
@@ -148,21 +147,21 @@ class Likelihood:
 
 
 def fit_channels(tests: Sequence[CondensedLines], parameters: int) -> tuple[_Channel, ...] | None:
-    """Every channel's coefficients in all `tests`, residuals and slopes (with all `parameters`) in units of its noise.
+    """Fit every channel to all `tests`: coefficients, and residuals and derivatives in units of the channel's noise.
 
-    None if the basis is degenerate.
+    `parameters`: their number. None if the basis is degenerate.
     """
     total = 1 + max(int(test.columns.max()) for test in tests)
     lines = np.array([len(test.measured) for test in tests])
     counts = np.sqrt([test.observation.weight for test in tests])
-    # the triangular factor has the basis in its first rows alone: what is below is orthogonal to it
+    # only the first rows of the triangular factor belong to the basis: the rows below are orthogonal to it
     sizes = [test.basis.shape[1] for test in tests]
     ends = np.cumsum([*sizes, *(len(test.small) - size for test, size in zip(tests, sizes, strict=True))])
     of_test = np.tile(np.arange(len(tests)), 2)
     above = int(ends[len(tests) - 1])
 
     def ordered(parts: Sequence[NDArray[np.float64]], relative: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Rows of all tests over their relative noise: those of the bases first."""
+        """Rows of all tests, divided by their relative noise; those of the bases first."""
         weighted = [part / weight for part, weight in zip(parts, relative, strict=True)]
         tops = [part[:size] for part, size in zip(weighted, sizes, strict=True)]
         return np.concatenate([*tops, *(part[size:] for part, size in zip(weighted, sizes, strict=True))])
@@ -201,7 +200,7 @@ def fit_channels(tests: Sequence[CondensedLines], parameters: int) -> tuple[_Cha
 def _factor(
     tests: Sequence[CondensedLines], relative: NDArray[np.float64], total: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
-    """Q, R and the columns' scales of the tests' bases one above the other, each over its relative noise."""
+    """Q, R and column scales of the tests' stacked bases, each divided by its relative noise."""
     blocks = []
     for test, weight in zip(tests, relative, strict=True):
         rows = test.basis.shape[1]

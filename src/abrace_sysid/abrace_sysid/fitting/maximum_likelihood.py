@@ -5,17 +5,17 @@ At the lines k of a test the model is exact, leakage included:
 
     Y(k) = C sum over inputs of X(z_k) U(k) + D U(k) + T(z_k) + V(k),
 
-where X are the states of the modes, driven by each input as much as it drives the mode, and the transient T has the
-same poles (`pole_basis`). So a mode has one shape, whatever drives it: the residues of several inputs are of rank
-one, and the model is minimal. Given the poles and, where there are several inputs, each mode's ratios between them,
-everything else is linear and real: shapes, which all tests share, direct terms and transients. These are projected out
-(variable projection, Golub and Pereyra 1973, in Kaufman's form of 1975), and Levenberg-Marquardt steps move poles and
-ratios alone. The cost of a step grows linearly with the lines and hardly with the channels.
+where X are the states of the modes, each input drives each mode by its own factor, and the transient T has the same
+poles (`pole_basis`). A mode has the same shape for all inputs: the residues of several inputs are of rank one, and the
+model is minimal. Given the poles and, with several inputs, each mode's ratios between them, all other unknowns are
+linear and real: shapes, which all tests share, direct terms and transients. These are eliminated (variable projection,
+Golub and Pereyra 1973, in Kaufman's form of 1975), and Levenberg-Marquardt steps change only poles and ratios. The
+computing time of a step is proportional to the lines and hardly depends on the channels.
 
-The noise V is independent from line to line and of one level in each channel of each test, unknown, concentrated out of
-the likelihood: the sum over tests and channels of n log(residual sum of squares) is minimised. From channel to channel
-it is correlated, since the measured input's noise passes through the structure to all of them. The covariance of the
-poles allows for that, for coloured noise and for nonlinear distortion, without a model of them (`covariance`).
+The noise V is independent from line to line. Its level in each channel of each test is unknown and concentrated out of
+the likelihood: the sum over tests and channels of n log(residual sum of squares) is minimised. Between channels it is
+correlated, since the measured input's noise passes through the structure to all of them. The covariance of the poles
+allows for that, for coloured noise and for nonlinear distortion, without a model of them (`covariance`).
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ if TYPE_CHECKING:
 ITERATIONS = 150
 
 FEW_LINES = 2000
-"""Tests of more than twice as many are first fitted at about these: what is found there is near."""
+"""Tests with more than twice as many lines are first fitted at about this number, for better starting values."""
 
 CONVERGED = 0.01
-"""A step that small against the standard deviations of the parameters ends the iterations."""
+"""A step of this length, in standard deviations of the parameters, ends the iterations."""
 
 INSIGNIFICANT = 0.1
-"""And so does a step that lowers -2 log likelihood by less: a chi-square of one degree of freedom has a mean of 1."""
+"""So does a step that lowers -2 log likelihood by less; a chi-square of one degree of freedom has a mean of 1."""
 
 
 def fit_poles(
@@ -63,7 +63,7 @@ def fit_poles(
     spread: Literal["none", "modes", "joint"] = "modes",
     delays: NDArray[np.float64] | None = None,
 ) -> PoleEstimate:
-    """The modes that make tests most likely, the same modes in all of them, with the covariance of their poles.
+    """Fit modes, common to all tests, by maximum likelihood, with the covariance of their poles.
 
     Parameters
     ----------
@@ -73,18 +73,18 @@ def fit_poles(
         Starting poles [rad/s], of each pair the one above the real axis, and real ones; they keep their order.
         They must be right within a few half-power bandwidths, as those of `vector_fitting` are.
     driven
-        (poles, inputs) which inputs can drive which modes, the inputs in the order in which the tests name them first;
-        None: all that are in a test that shows the mode.
+        (poles, inputs) whether an input can drive a mode, inputs in the order of their first appearance in the tests;
+        None: all inputs of the tests that show the mode.
     fixed
-        (poles,) which poles stay where they are; None: none.
+        (poles,) whether a pole is fixed; None: none is.
     most
-        Iterations.
+        Greatest number of iterations.
     spread
-        Of what the covariance is asked for: "modes", poles and drives; "joint", shapes and direct terms too; "none", a
-        trial, whose covariance is NaN.
+        Which covariance to compute: "modes", of poles and drives; "joint", also of shapes and direct terms; "none" for
+        a trial: the covariance is NaN.
     delays
-        (inputs,) [s] by which an input that has no direct terms acts later, to start from; 0: it does not, and does not
-        move. NaN: an input with direct terms; None: all have.
+        (inputs,) starting values of the delays [s] of inputs without direct terms; 0: no delay, which stays fixed. NaN:
+        an input with direct terms. None: all inputs have direct terms.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def fit_poles(
         )
     found = likelihood.modes
     require_stable(found.poles, where)
-    # weights are about what all channels tell of the modes together: of its shapes each tells by itself
+    # weights allow for information on the modes that channels share; each channel's shapes are its own information
     alike = likelihood
     if any(one.weight != 1 for one in observations):
         alike = Likelihood.at([replace(one, weight=1.0) for one in observations], inputs, found) or likelihood
@@ -143,7 +143,7 @@ def fit_poles(
 def _climbed(
     observations: Sequence[Observation], inputs: Sequence[str], modes: Modes, most: int
 ) -> tuple[Likelihood | None, bool, int]:
-    """The likelihood at its maximum near some modes, whether it is one, and the steps taken."""
+    """The likelihood at the end of the iterations, whether these have converged, and the number of steps."""
     likelihood = Likelihood.at(observations, inputs, modes)
     fastest = FASTEST / observations[0].samplings[0].sample_period
     damping, converged, iterations = 1e-3, likelihood is None, 0
@@ -172,7 +172,7 @@ def _shapes(poles: NDArray[np.complex128], coefficients: NDArray[np.float64]) ->
 def _direct(
     observations: Sequence[Observation], inputs: Sequence[str], modes: Modes, coefficients: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(channels, inputs) direct terms, of each input those of the test that shows most modes."""
+    """(channels, inputs) direct terms; for each input, those of the test that shows most modes."""
     direct = np.zeros((len(coefficients), len(inputs)))
     groups, _ = direct_terms(observations, inputs, modes)
     for (names, _), first in sorted(groups.items(), key=lambda item: len(item[0][1])):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modal states: the states of a model whose poles are given and whose residues are sought.
+"""Modal states: the states of a model with given poles and unknown residues.
 
-One real 2 x 2 block for each pole pair, [[re, im], [-im, re]], driven through its first state, and one state for each
-real pole. Their responses and the input itself are the columns of a linear least-squares problem for the residues.
+Each pole pair has a real 2 x 2 block, [[re, im], [-im, re]], driven through its first state, and each real pole has one
+state. Their responses and the input itself are the columns of a linear least-squares problem for the residues.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ def modal_states(poles: NDArray[np.complex128], input_name: str, delay: float = 
     poles
         [rad/s], real or in conjugate pairs, all distinct.
     input_name
-        The one input.
+        Name of the input.
     delay
-        Of the input [s].
+        Delay of the input [s].
     """
     blocks: list[NDArray[np.float64]] = []
     drive: list[float] = []

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The number of modes of a structure of which nothing is known: found one by one, kept while they predict.
+"""The search for the modes of an unknown structure: one by one, each kept if it improves the prediction.
 
-The first part of a record is fitted, by maximum likelihood; the mode that would lower its cost most, alone and added to
-those found, is looked for on a grid of frequencies and damping ratios and fitted with the others. It is kept if the
-rest of the record, which was not used, is then predicted better (hold-out validation; Ljung 1999, sec. 16.4). A
-description length would count as modes what a nonlinear or drifting peak leaves over of a linear one.
+The first part of a record is fitted by maximum likelihood. The mode that lowers the cost most, in addition to those
+already found, is searched on a grid of frequencies and damping ratios and fitted together with the others. It is kept
+if the fit then predicts the rest of the record, which was not used, better (hold-out validation; Ljung 1999, sec.
+16.4). A description length would also count the residual of a nonlinear or drifting peak as modes.
 """
 
 from __future__ import annotations
@@ -31,31 +31,31 @@ DAMPING = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Damping ratios of the grid; 1: a real pole."""
 
 REACH = 20.0
-"""Half-width of the lines about a mode that show it, in its half-power half-bandwidths."""
+"""Half-width of the range of lines around a mode that show it, in its half-power half-bandwidths."""
 
 LEAST_REACH = 8
-"""The same at least, in lines."""
+"""Least half-width of that range, in lines."""
 
 ABOVE, ABOVE_DAMPING = 1.4, 0.01
-"""Frequency over the band's highest, and damping ratio, of the pairs that represent all modes above it."""
+"""Frequency, divided by the band's upper edge, and damping ratio of the pairs that represent the modes above it."""
 
 REFUSALS = 12
-"""So many candidates in a row that do not help end the search."""
+"""Number of refused candidates in a row that ends the search."""
 
 NARROWEST = 0.5
 """Least half-power bandwidth of a mode, in lines: a narrower peak is not resolved."""
 
 ALIKE = 0.5
-"""Greatest distance of the poles that both parts give for a mode, over the sum of their decay rates."""
+"""Greatest distance between a mode's poles from both parts, divided by the sum of their decay rates."""
 
 HEAVIEST = 0.9
 """Greatest damping ratio: beyond it a pair can hardly be distinguished from two real poles."""
 
 TRIAL_ITERATIONS = 30
-"""Most steps of a fit with a candidate: one that is a mode takes some ten."""
+"""Most steps of a fit with a candidate: a true mode takes about ten."""
 
 NEAR = 0.01
-"""Candidates nearer to one that was refused are not tried, as a share of the frequency."""
+"""Candidates nearer to a refused one than this share of the frequency are not tried."""
 
 NEIGHBOURS = 9
 """Lines over which the level of the residual is averaged."""
@@ -67,18 +67,18 @@ def fit_with_residual_terms(
     iterations: int = ITERATIONS,
     spread: Literal["none", "modes"] = "modes",
 ) -> PoleEstimate:
-    """As `fit_poles`, with what modes above the band leave in it: of each input one pair, whose pole is given.
+    """As `fit_poles`, with residual terms of the modes above the band: one pair with a fixed pole for each input.
 
     Parameters
     ----------
     observation
         The test.
     poles
-        To start from [rad/s].
+        Starting poles [rad/s].
     iterations
-        Steps at most.
+        Greatest number of steps.
     spread
-        As of `fit_poles`.
+        As for `fit_poles`.
     """
     count = len(observation.inputs)
     highest = float(np.angle(observation.z[-1])) / observation.samplings[0].sample_period
@@ -96,16 +96,16 @@ def search_modes(
     Parameters
     ----------
     halves
-        Two parts of a record: modes are fitted to each and judged by the other.
+        Two parts of a record: modes are fitted to each and validated by the other.
     most
-        Pairs at most.
+        Greatest number of pairs.
     progress
         Called with the number of pairs found.
 
     Raises
     ------
     AbraceError
-        If not one pair can be fitted.
+        If no pair can be fitted.
     """
     found = [np.zeros(0, dtype=np.complex128) for _ in halves]
     costs = [np.inf for _ in halves]
@@ -136,7 +136,7 @@ def search_modes(
 
 
 def _same(one: complex, other: complex, seconds: float) -> bool:
-    """Whether two records of that length show the same mode, one that they can resolve."""
+    """Whether two records of that length show the same mode, and can resolve it."""
     half_widths = abs(one.real) + abs(other.real)
     if HEAVIEST < max(-one.real / abs(one), -other.real / abs(other)) < 1:
         return False
@@ -144,12 +144,12 @@ def _same(one: complex, other: complex, seconds: float) -> bool:
 
 
 def prediction(estimate: PoleEstimate, observation: Observation) -> tuple[float, NDArray[np.complex128]]:
-    """How badly a test is predicted, its transient alone being free.
+    """The error of the prediction of a test; only its transient is fitted.
 
     Parameters
     ----------
     estimate
-        From another test, or part of it.
+        Modes from another test, or from another part of this one.
     observation
         The test to predict.
 
@@ -195,18 +195,19 @@ def prediction(estimate: PoleEstimate, observation: Observation) -> tuple[float,
 def weighed(
     observations: Sequence[Observation], estimate: PoleEstimate, neighbours: int = NEIGHBOURS
 ) -> list[Observation]:
-    """Tests whose lines weigh by what a fit leaves over about them, in all channels and tests.
+    """Tests whose lines are weighted by the residual of a fit around them, in all channels and tests.
 
-    At a resonance that is more: noise of the measured inputs goes through the structure, and no peak is quite linear.
+    The residual is larger at a resonance: noise of the measured inputs passes through the structure, and peaks are
+    never exactly linear.
 
     Parameters
     ----------
     observations
         Tests of one kind.
     estimate
-        Fitted to them.
+        The fit to them.
     neighbours
-        Lines over which the level of the residual is averaged.
+        Number of lines over which the level of the residual is averaged.
     """
     powers = []
     for one in observations:
@@ -215,7 +216,7 @@ def weighed(
     power, angle = np.concatenate(powers), np.concatenate([np.angle(one.z) for one in observations])
     order = np.argsort(angle, kind="stable")
     more = np.empty(len(power))
-    # without the line itself: one that happens to be far off would otherwise weigh less for it
+    # without the line itself, whose own error must not reduce its weight
     level = neighbours * uniform_filter1d(power[order], neighbours) - power[order]
     more[order] = np.sqrt(level / (neighbours - 1))
     ends = np.cumsum([len(one.z) for one in observations])[:-1]

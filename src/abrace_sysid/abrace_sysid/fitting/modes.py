@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modes: poles, and how much each input drives them; the parameters that a likelihood is climbed with."""
+"""Modes: poles, and how much each input drives them; the parameters over which a likelihood is maximised."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 
 LEAST_DELAY, MOST_DELAY = 1e-8, 0.1
-"""Of an input whose delay is sought [s]."""
+"""Limits of an input's delay that is estimated [s]."""
 
 
 @dataclass(frozen=True)
 class Modes:
-    """Poles, and what each input drives of them.
+    """Poles, and how much each input drives them.
 
     Parameters
     ----------
@@ -31,14 +31,14 @@ class Modes:
     driven
         (poles, inputs) whether an input drives a mode.
     fixed
-        (poles,) whether a pole stays where it is.
+        (poles,) whether a pole is fixed.
     delays
-        (inputs,) [s], by which each input acts later.
+        (inputs,) delay of each input [s].
     delayed
         (inputs,) whether the delay of an input is a parameter.
     direct
-        (inputs,) whether an input has direct terms. (To a sampled rig a delay of less than a sample period is the same
-        as such a term, so that there is either one or the other.)
+        (inputs,) whether an input has direct terms. (For a sampled rig a delay of less than a sample period has the
+        same effect as a direct term, so an input has one or the other.)
     """
 
     poles: NDArray[np.complex128]
@@ -50,7 +50,7 @@ class Modes:
     direct: NDArray[np.bool_]
 
     def directions(self, mode: int) -> NDArray[np.complex128]:
-        """(inputs, directions) orthonormal, orthogonal to the mode's drive: where it can move; real of a real pole."""
+        """(inputs, directions) orthonormal changes of a mode's drive, orthogonal to it; real for real poles."""
         inputs = np.flatnonzero(self.driven[mode])
         found = np.zeros((self.driven.shape[1], max(0, len(inputs) - 1)), dtype=np.complex128)
         if found.size:
@@ -59,7 +59,7 @@ class Modes:
         return found
 
     def parameters(self) -> list[tuple[int, int | None, slice]]:
-        """Mode, direction of its drive (None: the pole itself) and columns of each parameter, the poles first."""
+        """For each parameter its mode, direction of the drive (None: the pole itself) and columns; poles first."""
         found: list[tuple[int, int | None, slice]] = [(k, None, s) for k, s in enumerate(columns_of(self.poles))]
         end = found[-1][2].stop
         for mode, pole in enumerate(self.poles):
@@ -75,12 +75,12 @@ class Modes:
         return self.parameters()[-1][2].stop + int(self.delayed.sum())
 
     def delay_columns(self) -> dict[int, int]:
-        """Of each input whose delay is a parameter its column."""
+        """By input whose delay is a parameter, the delay's column."""
         end = self.parameters()[-1][2].stop
         return {int(i): end + k for k, i in enumerate(np.flatnonzero(self.delayed))}
 
     def moved(self, step: NDArray[np.float64], fastest: float) -> Modes:
-        """After a step of the parameters; real poles stop at `fastest`, a pair that crosses the real axis is NaN.
+        """The modes after a step of the parameters; real poles stop at `fastest`, a pair across the real axis is NaN.
 
         Delays stay between LEAST_DELAY and MOST_DELAY.
         """

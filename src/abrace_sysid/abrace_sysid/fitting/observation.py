@@ -27,13 +27,13 @@ class Observation:
     Parameters
     ----------
     source
-        For messages.
+        Name of the test, for messages.
     outputs
         Names of the channels.
     z
         (lines,) exp(i w T).
     excitation
-        (lines, inputs) transforms of the inputs, or ones where `measured` are transfer functions.
+        (lines, inputs) transforms of the inputs, or ones if `measured` are transfer functions.
     measured
         (lines, channels) transforms of the outputs, or transfer functions.
     noise_level
@@ -45,10 +45,10 @@ class Observation:
     transient
         Whether the leakage of a finite record is in `measured`.
     poles
-        The poles that are excited in this test, as indices into those of all tests; None for all of them.
+        The poles that are excited in this test, as indices into those of all tests; None: all poles.
     weight
-        Weight of the test among others: less than 1 where its channels' noise is correlated, since together they tell
-        less than as many independent ones.
+        Weight of the test among others: less than 1 if its channels' noise is correlated, because correlated channels
+        contain less information than independent ones.
     """
 
     source: str
@@ -84,7 +84,7 @@ class Observation:
         return replace(self, excitation=self.excitation / np.array([unit[name] for name in self.inputs]))
 
     def thinned(self, lines: int) -> Observation:
-        """The same test at every second, third ... line, so that about `lines` are left: each obeys the same model."""
+        """The same test at every second, third ... line, so that about `lines` are left; the model is the same."""
         chosen = slice(None, None, max(1, len(self.z) // lines))
         of_lines = {name: getattr(self, name)[chosen] for name in ("z", "excitation", "measured", "noise_level")}
         return replace(self, **of_lines)
@@ -95,14 +95,14 @@ class Observation:
 
     @classmethod
     def of_spectra(cls, spectra: Spectra, source: str) -> Observation:
-        """A test's spectra, leakage included.
+        """The observation of a test from its spectra, leakage included.
 
         Parameters
         ----------
         spectra
-            Of the whole record.
+            Spectra of the whole record.
         source
-            For messages.
+            Name of the test, for messages.
         """
         samplings = tuple(Sampling(spectra.sample_period, hold) for hold in spectra.holds)
         z = np.exp(1j * spectra.omega * spectra.sample_period)
@@ -121,17 +121,17 @@ class Observation:
 
     @classmethod
     def of_response(cls, measured: FrequencyResponse, source: str) -> Observation:
-        """A measured transfer function: of a periodic test, or averaged.
+        """The observation of a test from a measured transfer function, of a periodic test or averaged.
 
-        The lines must be independent, which neighbours of the local polynomial method are not: the poles are right
-        nevertheless, their intervals too narrow.
+        The lines should be independent. Neighbouring lines of the local polynomial method are not: the poles are still
+        right, but their intervals are too narrow.
 
         Parameters
         ----------
         measured
-            Hold and delay included; from its standard deviation follows how the lines' noise compares.
+            The transfer function, hold and delay included; its standard deviation gives the lines' relative noise.
         source
-            For messages.
+            Name of the test, for messages.
         """
         relative = measured.sigma / np.maximum(np.median(measured.sigma, axis=0), np.finfo(float).tiny)
         level = np.sqrt(np.mean(relative**2, axis=1))

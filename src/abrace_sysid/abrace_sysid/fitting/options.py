@@ -16,32 +16,32 @@ if TYPE_CHECKING:
     from abrace_core.run import Run
 
 FIT_METHODS = ("maximum_likelihood", "vector_fitting", "sk", "paper")
-"""Of the poles, see `pole_fits`."""
+"""Methods of fitting poles, see `pole_fits`."""
 
 AS_EXCITED = (0.0, 0.0)
-"""In place of a band: the one that the tests excite."""
+"""Instead of a band: the band that the tests excite."""
 
 
 @dataclass(frozen=True)
 class IdentificationOptions:
-    """How to identify.
+    """Options of an identification.
 
     Parameters
     ----------
     transfer_function
         Method and settings for tests with noise; periodic tests are averaged over their periods.
     fit
-        Of the poles: one of FIT_METHODS.
+        Method for the poles: one of FIT_METHODS.
     table_band, command_band
-        [Hz] within which the tests are used; they must be excited throughout. AS_EXCITED: all that they excite.
+        Bands [Hz] in which the tests are used; the tests must excite all of the band. AS_EXCITED: all that they excite.
     command_order
-        Oscillating poles of the response to the commands (A2), even; 0: as many as the tests show, by description
-        length. The other fits than `maximum_likelihood` have to be given it.
+        Number of oscillating poles in the response to the commands (A2), even; 0: chosen from the tests by description
+        length, by `maximum_likelihood` only; the other fits need a number.
     servo_lag
-        Of the actuators, from a bench test [s] (Fig. 2), with which what the tests show is compared; 0: there was none.
-        The other fits than `maximum_likelihood`, which do not measure it, take it as it is.
+        Lag of the actuators from a bench test [s] (Fig. 2); 0: no bench test. `maximum_likelihood` compares it with the
+        lag that it estimates; the other fits use it as given.
     reduced_order
-        States of the reduced model; 0: as many as have a Hankel singular value that counts.
+        States of the reduced model; 0: the number of significant Hankel singular values.
     """
 
     transfer_function: TransferFunctionOptions = field(default_factory=TransferFunctionOptions)
@@ -53,12 +53,12 @@ class IdentificationOptions:
     reduced_order: int = 0
 
     def of_tests(self, table: Sequence[Run], command: Sequence[Run]) -> IdentificationOptions:
-        """The same with the bands that these tests excite, where none are given.
+        """The same options, with the bands that the tests excite in place of those not given.
 
         Parameters
         ----------
         table, command
-            The tests on the table, and with commands; one at least of each.
+            The tests on the table, and with commands; at least one of each.
         """
         table_band, command_band = self.table_band, self.command_band
         if table_band == AS_EXCITED:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The number of poles from data: fits of several orders compared by description length.
 
-Orders are tried on a part of the lines, each of which obeys the same model; what is chosen is then fitted to all.
+Orders are tried on a part of the lines, for which the model is the same; the chosen order is then fitted to all lines.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ if TYPE_CHECKING:
     from abrace_sysid.fitting.pole_estimate import PoleEstimate, PoleInterval
 
 SEARCH_LINES = 1500
-"""Of a test, about which orders are tried."""
+"""Approximate number of a test's lines on which orders are tried."""
 
 TRIAL_ITERATIONS = 30
-"""Most steps of a trial: an order that the tests have takes about ten."""
+"""Most steps of a trial: a correct order takes about ten."""
 
 FORM_ITERATIONS = 15
-"""The same of another form of the servos with a number of pairs that is known to fit."""
+"""Most steps of a trial with another form of the servos and a number of pairs that is known to fit."""
 
 IN_VAIN = 2
-"""So many orders in a row that are no better end the search."""
+"""Number of orders in a row without improvement that ends the search."""
 
 MOST_FAILURES = 3
-"""So many at first that cannot be fitted, likewise."""
+"""Number of first orders that cannot be fitted that ends the search."""
 
 MOST_MORE = 12
 """Pairs that are tried beyond the first order, at most."""
 
 FIRST_DELAY = 0.25
-"""Of a servo, in sample periods, to start from."""
+"""Starting value of a servo's delay, in sample periods."""
 
 
 class Order(NamedTuple):
-    """A number of poles, and what a servo is.
+    """A number of poles, and the form of the servos' model.
 
     Parameters
     ----------
@@ -56,10 +56,10 @@ class Order(NamedTuple):
     reals
         Real poles of each servo: 0; 1, a slow one (integral action); 2, and a fast one (its lag).
     servo
-        "direct": a command has direct terms too; "lag": it acts through its servo alone; "delay": and later by a time
-        of its own beside the lag.
+        "direct": a command also has direct terms; "lag": it acts only through its servo's lag; "delay": through the lag
+        and a delay.
     coupled
-        Whether all commands drive each slow pole; otherwise its own alone, as of servos that are alike.
+        Whether all commands drive each slow pole; otherwise only its own command does, as with equal servos.
     """
 
     pairs: int
@@ -75,9 +75,9 @@ class OrderTrial:
     Parameters
     ----------
     order
-        That was tried.
+        The order.
     estimate
-        Of the poles; None if the fit failed.
+        The fitted poles; None if the fit failed.
     reason
         Why it failed.
     """
@@ -102,16 +102,17 @@ def try_orders(
     observations
         The tests.
     measured
-        Its transfer functions, for starting poles; of several those of the first from which a fit is found.
+        Transfer functions for starting poles; of several, the first is used that leads to a fit.
     orders
-        To try; of two numbers, pairs and reals.
+        Orders to try.
     groups
-        Servos; the lag of each, its second real pole, is driven by its own command alone, in the order of the inputs.
-        An input more than there are servos is the table, the first one, which drives everything but lags.
+        Number of servos. Each servo's lag, its second real pole, is driven by its own command alone, in the order of
+        the inputs. If there is one more input than servos, the first one is the table, which drives all poles except
+        lags.
     most
-        Iterations of a fit.
+        Greatest number of iterations of a fit.
     starts
-        Starting poles by number of transfer function and of pairs, found before and to be found.
+        Cache of starting poles, by number of transfer function and of pairs.
     """
     several = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
     known = {} if starts is None else starts
@@ -173,18 +174,19 @@ def search_order(
     Parameters
     ----------
     observations, measured, groups
-        As of `try_orders`.
+        As for `try_orders`.
     pairs
-        To begin with: those of the building.
+        First number of pairs: that of the building's modes.
     forms
-        Of the servos: the first that can be fitted finds the number of pairs, the others are then tried with it.
+        Forms of the servos: the number of pairs is found with the first form that can be fitted, then the others are
+        tried with that number.
     fixed
         Whether the number of pairs is given.
 
     Returns
     -------
     PoleEstimate
-        Of all lines, without covariance.
+        The fit to all lines, without covariance.
 
     Raises
     ------
@@ -195,14 +197,14 @@ def search_order(
     few = [observation.thinned(SEARCH_LINES) for observation in observations]
     tried: list[OrderTrial] = []
     found, starts = None, dict[tuple[int, int], "NDArray[np.complex128]"]()
-    # the building's modes and more, whatever the servos are; fewer only if that leads nowhere
+    # the building's number of modes or more, with all forms of the servos; fewer only if none can be fitted
     for first in (pairs,) if fixed else range(pairs, 0, -1):
         for form in forms:
             trials = _pairs_with(
                 few, measured, form._replace(pairs=first), groups, fixed or first < pairs, lines, starts
             )
             tried += trials
-            # an order with a pair that is no mode is taken only where it was asked for
+            # an order with a pair that is no mode is accepted only if the user has given that order
             fit = [one for one in trials if one.estimate and (fixed or not no_modes(one.estimate, lines))]
             if fit:
                 found = min(fit, key=_description)
@@ -216,7 +218,7 @@ def search_order(
         )
     best = found
     for form in forms:
-        # a servo with fewer poles than one that was worse is worse
+        # a form with fewer poles than one that was already worse is not tried
         if form[1:] == found.order[1:] or form.reals < best.order.reals - 1:
             continue
         (trial,) = try_orders(few, measured, [form._replace(pairs=found.order.pairs)], groups, FORM_ITERATIONS, starts)
@@ -243,7 +245,7 @@ def _pairs_with(
     lines: NDArray[np.float64],
     starts: dict[tuple[int, int], NDArray[np.complex128]],
 ) -> list[OrderTrial]:
-    """Trials with rising numbers of pairs, until more are no better; with fewer where the first is the best."""
+    """Trials with rising numbers of pairs until there is no improvement; if the first is the best, with fewer pairs."""
     if fixed:
         return try_orders(observations, measured, [first], groups, starts=starts)
     trials: list[OrderTrial] = []
@@ -255,7 +257,7 @@ def _pairs_with(
             (trial,) = try_orders(observations, measured, [first._replace(pairs=pairs)], groups, starts=starts)
             if (
                 trial.estimate is None and first.reals == 2
-            ):  # its fast poles, of which lags, filters and delays make one
+            ):  # its fast poles, of which one stands for lags, filters and delays together
                 simpler = first._replace(pairs=pairs, reals=1, servo="direct")
                 (trial,) = try_orders(observations, measured, [simpler], groups, starts=starts)
             trials.append(trial)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Responses of single poles as the sampled rig shows them: hold and the transient of a finite record included.
 
-A pole p answers an input u with the state dx/dt = p x + u. Between samples u is held or linear, which makes the state
-at the samples exactly
+The state of a pole p with input u obeys dx/dt = p x + u. Between samples u is held or linear, so that the state at the
+samples is exactly
 
     x(z) = F_p(z) u(z) + z / (z - a) x_0 / sqrt(N),    a = exp(p T),
 
@@ -51,7 +51,7 @@ class Sampling:
         z
             (lines,) exp(i w T).
         delay
-            By which a held input acts later [s]; of other inputs there is none.
+            Delay of a held input [s]; other inputs have none.
         """
         period = self.sample_period
         if delay:
@@ -96,12 +96,12 @@ class Sampling:
 
 
 def whole_samples(delay: float, period: float) -> int:
-    """Whole sample periods of `period` [s] in a `delay` [s]."""
+    """Number of whole sample periods of `period` [s] in a `delay` [s]."""
     return int(delay // period)
 
 
 def _step(pole: complex, span: float) -> tuple[complex, complex]:
-    """The state that a unit step leaves after `span` seconds, (exp(p span) - 1) / p, and its derivative with p."""
+    """The state `span` seconds after a unit step, (exp(p span) - 1) / p, and its derivative with respect to p."""
     step = np.expm1(pole * span) / pole
     return step, (span * np.exp(pole * span) - step) / pole
 

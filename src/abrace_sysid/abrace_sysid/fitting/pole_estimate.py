@@ -54,32 +54,32 @@ class PoleEstimate:
     poles
         (poles,) [rad/s]: of each pair the one above the real axis, and real poles, in the order of the start.
     covariance
-        Of the poles' real and imaginary parts, in the order of `poles`; of a real pole the real part alone. Then of how
-        the drives can turn. NaN: not asked for. [rad^2/s^2]
+        Covariance of the poles' real and imaginary parts, in the order of `poles` (real poles: the real part alone),
+        then of the directions of the drives. NaN: not computed. [rad^2/s^2]
     cost
-        -2 log likelihood, less a constant.
+        -2 log likelihood, minus a constant.
     observed
-        Real numbers fitted.
+        Number of real values that were fitted.
     unknowns
-        Poles' parts, coefficients and noise levels.
+        Number of unknowns: poles' parts, coefficients and noise levels.
     iterations
-        Steps taken.
+        Number of steps.
     inputs, outputs
-        Names.
+        Names of the inputs and outputs.
     drive
         (poles, inputs) complex: how much each input drives each mode, q' = p q + drive u; real of a real pole.
     shapes
-        (channels, poles) complex: the outputs are the real part of shapes q, and
+        (channels, poles) complex: the outputs are the real part of shapes q, plus direct u.
     direct
-        (channels, inputs) of the inputs themselves.
+        (channels, inputs) direct terms.
     delays
-        (inputs,) by which each acts later [s]; NaN of those with direct terms.
+        (inputs,) delay of each input [s]; NaN for inputs with direct terms.
     inflation
-        Variance of a pair over what it would be if channels and lines were independent, of the pair with most of it.
+        Greatest ratio, over the pairs, of a pair's variance to its variance if channels and lines were independent.
     joint
-        Covariance of all of it together: the poles' parts as in `covariance`, then (parts, inputs) of `drive`,
-        (channels, parts) of `shapes`, real and imaginary parts beside each other, `direct` and `delays` (0 of
-        those that are not sought); None: not asked for.
+        Covariance of all of these: the poles' parts as in `covariance`, then (parts, inputs) of `drive`,
+        (channels, parts) of `shapes`, real and imaginary parts in turn, `direct` and `delays` (0 if not estimated);
+        None: not computed.
     """
 
     poles: NDArray[np.complex128]
@@ -99,7 +99,7 @@ class PoleEstimate:
 
     @property
     def mdl(self) -> float:
-        """Rissanen's minimum description length (1978), twice: the least is best."""
+        """Twice Rissanen's minimum description length (1978): the least is best."""
         return self.cost + self.unknowns * float(np.log(self.observed))
 
     def pairs(self) -> list[PoleInterval]:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poles of the table test, of the command test and of both, by a method chosen by name.
 
-- maximum_likelihood: every channel, leakage, the servos' real poles and delays in the model, with confidence intervals;
-  the orders from data, by description length
+- maximum_likelihood: all channels, leakage, the servos' real poles and delays in the model, with confidence intervals;
+  orders chosen from the data by description length
 - vector_fitting: common poles of all channels of the transfer functions
 - sk: Sanathanan-Koerner iterations on the top floor's acceleration, weighted by its uncertainty
 - paper: Eqs. (1) and (2) on the top floor's acceleration, unweighted, the sign in Eq. (1) corrected
 
-The last two fit a ratio of polynomials of s. Hold and servo's lag are not such ratios and are divided out before.
+The last two fit a ratio of polynomials of s. Hold and servo lag are not such ratios and are divided out first.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from abrace_sysid.spectra.measured_tests import TestData
 
 NEIGHBOURS = 17
-"""Lines over which the level of what a fit leaves over is averaged: 0.06 Hz of a record of 300 s."""
+"""Lines over which the level of a fit's residual is averaged: 0.06 Hz for a record of 300 s."""
 
 
 @dataclass(frozen=True)
@@ -55,15 +55,15 @@ class PoleFit:
     table
         (2 modes,) A1: the building's poles from the table test [rad/s], conjugates too, slowest first.
     command
-        (2 pairs,) A2: all pairs of the command test likewise.
+        (2 pairs,) A2: all pairs of the command test, in the same order.
     of_model
-        One set for both inputs, with the servo's slow real pole, for the consistent model.
+        The common poles of both inputs, with the servo's slow real pole, for the consistent model.
     table_pairs, command_pairs, common_pairs
-        Frequency and damping of the pairs with their standard deviations; NaN where the method gives none.
+        Frequency and damping of the pairs with their standard deviations; NaN if the method gives none.
     building
-        (2 floors,) of the poles of the command test those that are the building's.
+        (2 floors,) the building's poles from the command test.
     estimate
-        Maximum likelihood's modes of all tests: a model; None of another method.
+        The modes of all tests by maximum likelihood; None with another method.
     warnings
         On the modes, one sentence each.
     """
@@ -93,7 +93,7 @@ def fit_poles_of(
     table, commands
         The tests on the table, and of each command.
     floors
-        Modes of the building.
+        Number of floors, and of the building's modes.
     options
         `fit`, `command_order` and `servo_lag` are used.
     progress
@@ -131,7 +131,7 @@ def _maximum_likelihood(
     options: IdentificationOptions,
     progress: Callable[[str, float], None],
 ) -> PoleFit:
-    """Table and commands alone, then both with one set of modes: the commands', of which the table shows some."""
+    """Fit table and commands alone, then both with common modes: the commands', some of which the table shows."""
     responses = [data.responses[0] for data in commands]
     if len(table.together) > 1:
         progress("maximum likelihood, both", 0.5)
@@ -178,7 +178,7 @@ def _of_tests_apart(
     options: IdentificationOptions,
     progress: Callable[[str, float], None],
 ) -> tuple[PoleEstimate, PoleEstimate, PoleEstimate]:
-    """The modes of the table test, of those of the commands, and of all."""
+    """The modes of the table tests, of the command tests, and of all tests together."""
     top, highest = (data.responses[0].omega[-1] for data in (table, commands[0]))
     progress("maximum likelihood, table", 0.5)
     from_table, measured = _observations([table]), table.responses[0]
@@ -187,7 +187,7 @@ def _of_tests_apart(
     progress("maximum likelihood, command", 0.6)
     from_command, groups = _observations(commands), len(commands)
     responses = [data.responses[0] for data in commands]
-    # multisines share the lines: neighbours are too far apart to be read off between them
+    # multisines share the lines: the lines of each are too far apart for interpolation
     together = responses if commands[0].periodic else [side_by_side(responses)]
     given = options.command_order // 2
     of_command = search_order(from_command, together, given or floors, _servos(groups), groups, given > 0)
@@ -197,12 +197,12 @@ def _of_tests_apart(
     poles, drive = of_command.poles, of_command.drive
     slow = _reals(of_table.poles)
     if len(slow) and not (np.abs(_reals(poles)) < highest).any():
-        # where filters and servo are slow the fit may take both real poles for them: the table still shows the slow one
+        # if filters and servo are slow, both real poles may represent them: the table test still shows the slow pole
         poles = np.append(poles, slow[:1])
         drive = np.vstack([drive, np.ones((1, len(commands)))])
     lags = (poles.imag == 0) & (np.abs(poles) > highest)
     shown = tuple(int(i) for i in np.flatnonzero((np.abs(poles) <= top) & ~lags))
-    # each lag is driven by the command that drives it alone, and not by the table
+    # each lag is driven by its own command alone, not by the table
     driven = np.hstack([np.ones((len(poles), 1), dtype=np.bool_), drive != 0])
     delays = np.concatenate([[np.nan], of_command.delays])
     tests = [*(replace(one, poles=shown) for one in from_table), *from_command]
@@ -213,12 +213,12 @@ def _of_tests_apart(
 def _with_noise_as_found(
     observations: Sequence[Observation], estimate: PoleEstimate
 ) -> tuple[list[Observation], PoleEstimate]:
-    """The tests with their lines weighed by what a fit left over about them, and the fit that they then give.
+    """The tests with lines weighted by the residual of a first fit around them, and the fit of the weighted tests.
 
-    At a resonance more is left over: noise of the measured input goes through the structure to all channels alike, and
-    no peak is quite linear. So the channels tell less than as many independent ones, and beside other tests these count
-    for as much less as the variance of their poles is greater. Few multisines have too few lines about a resonance, and
-    keep the levels of noise that their periods gave.
+    The residual is larger at a resonance: noise of the measured input passes through the structure to all channels, and
+    peaks are never exactly linear. The channels then contain less information than independent ones, and the weight of
+    these tests among others is reduced by the increase of their poles' variance. A few multisines have too few lines
+    around a resonance, and keep the noise levels from their periods.
     """
     found = list(observations)
     if observations[0].transient or len(observations) >= LEAST_PIECES:
@@ -228,13 +228,13 @@ def _with_noise_as_found(
 
 
 def _servos(groups: int) -> list[Order]:
-    """Forms of the servos: with slow pole, lag and delay, then without."""
+    """Forms of the servos: with slow pole, lag and delay first, then simpler ones."""
     forms = [Order(0, 2, "delay", groups == 1), Order(0, 2, "lag", groups == 1), Order(0, 2), Order(0, 1), Order(0, 0)]
     return forms if groups == 1 else [*forms, Order(0, 2, "delay")]
 
 
 def _pairs_at(estimate: PoleEstimate, places: NDArray[np.int64]) -> tuple[PoleInterval, ...]:
-    """Frequency and damping of the pairs at these places among the poles; -1: none."""
+    """Frequency and damping of the pairs at the indices `places` among the poles; -1: none."""
     frequencies = np.abs(estimate.poles[places[places >= 0]])
     return tuple(pair for pair in estimate.pairs() if np.isclose(pair.frequency, frequencies, rtol=1e-12).any())
 
@@ -247,7 +247,7 @@ def _remarks(
     heavy: Sequence[PoleInterval],
     floors: int,
 ) -> tuple[str, ...]:
-    """What a person has to know of the modes."""
+    """Warnings on the modes."""
     found = []
     if len(building) < floors:
         found.append(
@@ -267,12 +267,12 @@ def _remarks(
 
 
 def side_by_side(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
-    """Responses to several inputs as channels of one, at the lines of the first: to start from, not to fit.
+    """Responses to several inputs as channels of one response, at the lines of the first; for starting poles only.
 
     Parameters
     ----------
     responses
-        At about the same frequencies.
+        Responses at about the same frequencies.
     """
     first = responses[0]
 
@@ -281,14 +281,14 @@ def side_by_side(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
         return np.column_stack(columns)
 
     names = tuple(f"{name} to {other.input}" for other in responses for name in other.outputs)
-    # every input with channels of the same size: levels in N and in m/s^2 are not to be compared
+    # channels are normalised for each input: responses to N and to m/s^2 cannot be compared
     response = np.hstack([at_its_lines(other, other.response) for other in responses])
     sigma = np.hstack([at_its_lines(other, other.sigma) for other in responses])
     return replace(first, outputs=names, response=response, sigma=sigma)
 
 
 def _observations(tests: Sequence[TestData]) -> list[Observation]:
-    """Of each test with noise the spectra with their leakage, once; of a periodic one its responses."""
+    """Observations: of each test with noise its spectra with leakage, once; of a periodic test its responses."""
     found = []
     for data in tests:
         if data.periodic:
@@ -307,7 +307,7 @@ def _by_curve_fit(data: TestData, order: int, options: IdentificationOptions, fl
     measured = data.responses[0]
     where = f"{data.source}: {options.fit} of {data.input}, order {order}"
     if options.fit == "vector_fitting":
-        # and the servo's slow pole with, from the table, a local mode; from the command, the lag
+        # and the servo's slow pole, together with a local mode (table) or the lag (command)
         fit = vector_fitting(measured, order + (3 if data.input == signals.GROUND else 2))
         poles = modes_of(fit, measured)[: order // 2]
     else:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The slow real pole of the servo's integral action, which curve fits of accelerations miss.
 
-Real and heavily damped, it shows in the brace force under zero command, in the table test.
+This pole is visible in the brace forces of the table test, under zero command.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 
 def slow_real_pole(measured: FrequencyResponse, poles: NDArray[np.complex128]) -> float | None:
-    """The real pole that explains most of what known poles leave of a response: that of the servo's integral action.
+    """The real pole that explains most of the residual of known poles: that of the servo's integral action.
 
-    Use the table test: over a wide band a real pole would make up for what the model class lacks at high frequency.
+    Use the table test: over a wide band a real pole would compensate errors of the model class at high frequency.
 
     Parameters
     ----------
     measured
-        From one input; the brace forces should be among its channels.
+        Response to one input; the brace forces should be among its channels.
     poles
-        [rad/s], the known ones; those beyond the response's band are left out.
+        The known poles [rad/s]; those beyond the response's band are left out.
 
     Returns
     -------

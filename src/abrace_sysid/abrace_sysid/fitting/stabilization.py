@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stabilisation diagram: poles of rising order, and which of them stay the same from order to order.
 
-Poles of the structure come back at every order, in frequency, damping ratio and mode shape; poles that follow the noise
+Poles of the structure appear at every order with the same frequency, damping ratio and mode shape; poles due to noise
 do not (Peeters and De Roeck 2001, sec. 4). Mode shapes are compared by the modal assurance criterion (Allemang 1982).
 """
 
@@ -29,8 +29,8 @@ LINES = 1500
 ITERATIONS = 10
 
 FREQUENCY, DAMPING, SHAPE = 0.005, 0.05, 0.02
-"""Below these differences from the nearest pole of the order below a pole counts as the same: relative in frequency
-and damping ratio, 1 less the modal assurance criterion in shape."""
+"""Greatest differences between a pole and the nearest one of the order below that count as the same: relative in
+frequency and damping ratio, 1 minus the modal assurance criterion in shape."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,13 @@ class OrderPoles:
     Parameters
     ----------
     order
-        Number of poles fitted.
+        Number of fitted poles.
     frequency, damping
         (poles,) modulus [rad/s] and damping ratio, slowest first.
     shapes
         (poles, channels) complex.
     same_frequency, same_damping, same_shape
-        (poles,) whether the order below has a pole like it.
+        (poles,) whether the order below has the same pole, in that respect.
     """
 
     order: int
@@ -70,7 +70,7 @@ class Stabilization:
     Parameters
     ----------
     measured
-        What was fitted.
+        The fitted response.
     orders
         Lowest order first.
     """
@@ -85,7 +85,7 @@ def stabilization(measured: FrequencyResponse, orders: Sequence[int] = tuple(ran
     Parameters
     ----------
     measured
-        Hold and delays included.
+        The response, hold and delays included.
     orders
         Numbers of poles, rising.
 
@@ -140,7 +140,7 @@ def _same(
     nearest = np.argmin(np.abs(frequency[:, None] - below.frequency), axis=1)
     same_frequency = np.abs(frequency / below.frequency[nearest] - 1) < FREQUENCY
     same_damping = same_frequency & (np.abs(damping / below.damping[nearest] - 1) < DAMPING)
-    # channels in units of their size, or the forces would dominate every shape
+    # channels are normalised, otherwise the forces would dominate every shape
     size = np.maximum(np.sqrt(np.mean(np.abs(shapes) ** 2, axis=0)), np.finfo(float).tiny)
     agreement = modal_assurance(shapes / size, below.shapes / size)[np.arange(len(frequency)), nearest]
     return same_frequency, same_damping, same_frequency & (1 - agreement < SHAPE)

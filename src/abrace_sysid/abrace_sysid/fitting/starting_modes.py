@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modes to start from: poles are given, and of each mode's residues the part of rank one, shape times drive."""
+"""Starting values of modes from given poles: the residues of each mode, approximated by rank one, shape times drive."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from abrace_sysid.fitting.observation import Observation
 
 COINCIDENT = 1e-5
-"""Of the basis' singular values, over the greatest: what poles that coincide, of equal servos, share is shared out."""
+"""Least singular value of the basis, relative to the greatest: coincident poles, of equal servos, share a residue."""
 
 
 def starting_modes(
@@ -31,7 +31,7 @@ def starting_modes(
     fixed: NDArray[np.bool_] | None = None,
     delays: NDArray[np.float64] | None = None,
 ) -> tuple[Modes, NDArray[np.float64]]:
-    """Modes with these poles, and a unit for each input in which all of them drive the modes alike.
+    """Modes with these poles, and a unit for each input, so that all inputs drive the modes equally strongly.
 
     Parameters
     ----------
@@ -42,17 +42,17 @@ def starting_modes(
     poles
         [rad/s], of each pair the one above the real axis, and real ones.
     driven
-        (poles, inputs) which inputs can drive which modes; None: all that the tests show.
+        (poles, inputs) whether an input can drive a mode; None: all that the tests show.
     fixed
-        (poles,) which poles stay where they are; None: none.
+        (poles,) whether a pole is fixed; None: none is.
     delays
-        (inputs,) [s] by which an input that has no direct terms acts later, to start from; 0: it does not, and does not
-        move. NaN: an input with direct terms; None: all have.
+        (inputs,) starting values of the delays [s] of inputs without direct terms; 0: no delay, which stays fixed. NaN:
+        an input with direct terms. None: all inputs have direct terms.
 
     Returns
     -------
     modes, unit
-        In these units; (inputs,).
+        The modes in these units; (inputs,).
     """
     channels = observations[0].measured.shape[1]
     direct = np.ones(len(inputs), dtype=np.bool_) if delays is None else np.isnan(delays)
@@ -68,7 +68,7 @@ def starting_modes(
         for name, of_input in zip(observation.inputs, np.moveaxis(of_inputs, 2, 0), strict=True):
             shows[shown, inputs.index(name)] = True
             residues[:, shown, inputs.index(name)] += of_input
-    # one scale of the channels for all tests, or a mode would have a shape of its own in each of them
+    # channels have one scale for all tests, otherwise a mode would have another shape in each of them
     residues /= np.exp(levels / len(observations))[:, None, None]
     driven = shows if driven is None else shows & driven
     residues *= driven
@@ -88,7 +88,7 @@ def starting_modes(
 def _residues(
     observation: Observation, poles: NDArray[np.complex128], delays: NDArray[np.float64]
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """(channels, poles, inputs) residues of each input alone, and (channels,) rms of what they leave over."""
+    """(channels, poles, inputs) residues of each input alone, and (channels,) rms of the residual."""
     z, count = observation.z, len(observation.inputs)
     basis: list[NDArray[np.complex128]] = []
     for pole in poles:

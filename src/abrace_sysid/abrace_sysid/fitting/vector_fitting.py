@@ -2,12 +2,12 @@
 """Vector fitting: poles common to all channels of a measured transfer function (Gustavsen and Semlyen 1999).
 
 The relaxed form (Gustavsen 2006), each channel condensed by its own orthogonal factorisation (Deschrijver et al. 2008),
-so that the cost grows linearly with lines and channels. What was measured is the response of the sampled rig, which is
-a ratio of polynomials in z = exp(i w T), not in s: the fractions are 1 / (z - a) with a = exp(p T), and the hold needs
-no compensation. The servo's lag is a fast real pole.
+so that the computing time is proportional to lines and channels. The measured response is that of the sampled rig, a
+ratio of polynomials in z = exp(i w T), not in s: the fractions are 1 / (z - a) with a = exp(p T), and the hold needs no
+compensation. The servo's lag is a fast real pole.
 
-Poles that a step puts outside the unit circle are mirrored into it for the next one. The poles of the last step are
-given as they are: `vector_fitting` refuses an unstable one, `fit_common_poles` returns it.
+Poles outside the unit circle are mirrored into it before the next iteration. The poles of the last iteration are not:
+`vector_fitting` refuses an unstable pole, `fit_common_poles` returns it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 ITERATIONS = 30
 
 START_ITERATIONS, START_LINES = 10, 2000
-"""Enough for starting poles."""
+"""Iterations and lines for starting poles."""
 
 CONVERGED = 1e-6
 """Relative movement of every pole that ends the iterations."""
@@ -40,10 +40,10 @@ START_CHANNELS, RANDOM_CHANNELS = 12, 6
 START_DAMPING = 0.01
 
 HEAVY_DAMPING = 0.3
-"""Pairs damped more than that are no modes of a building: they make up for what the other poles do not explain."""
+"""Pairs with more damping are not modes of a building: they compensate for errors of the model."""
 
 APART = 0.7
-"""Ratio of the slow poles of several servos, to start from."""
+"""Ratio of the starting values of several servos' slow poles."""
 
 MORE = 3
 """Orders beyond the least one at which starting poles are searched."""
@@ -74,7 +74,7 @@ def vector_fitting(measured: FrequencyResponse, order: int) -> VectorFit:
     Parameters
     ----------
     measured
-        Hold and delays included; each channel weighs by its mean variance, every line of it alike.
+        The response, hold and delays included; channels are weighted by their mean variance, all lines equally.
     order
         Number of poles.
 
@@ -98,9 +98,9 @@ def fit_common_poles(
     measured, order
         As for `vector_fitting`.
     weights
-        (lines, channels) of squared errors.
+        (lines, channels) weights of the squared errors.
     iterations
-        At most.
+        Greatest number of iterations.
 
     Raises
     ------
@@ -145,14 +145,14 @@ def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0, grou
     Parameters
     ----------
     measured
-        To fit by `fit_common_poles`, of the least order that shows enough oscillating poles within its band.
+        The response; `fit_common_poles` fits it with the least order that has enough oscillating poles within its band.
     pairs
-        The strongest of these are taken.
+        Number of pairs; the strongest ones are used.
     reals
-        0; 1: a slow one at the slowest pair's frequency (a servo's integrator); 2: and a fast one, whose time constant
-        is half a sample (a servo's lag).
+        Real poles of each servo. 0: none; 1: a slow pole at the slowest pair's frequency (the servo's integral action);
+        2: also a fast one, whose time constant is half a sample period (the servo's lag).
     groups
-        Servos: as many of either kind.
+        Number of servos.
 
     Returns
     -------
@@ -169,7 +169,7 @@ def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0, grou
     found = np.zeros(0, dtype=np.complex128)
     measured = _strongest_channels(thinned(measured, START_LINES))
     for order in range(2 * pairs, 2 * pairs + MORE * 2 + 1):
-        # by each line's uncertainty: good enough to start from, and robust where a short test's peaks are biased
+        # weighted by each line's uncertainty: robust if the peaks of a short test are biased
         weights = uncertainty_weights(measured.response, measured.sigma)
         fit = fit_common_poles(measured, order, weights, START_ITERATIONS)
         found = modes_of(fit, measured)[:pairs]
@@ -202,9 +202,9 @@ def thinned(measured: FrequencyResponse, lines: int) -> FrequencyResponse:
 
 
 def _strongest_channels(measured: FrequencyResponse) -> FrequencyResponse:
-    """Sums of channels that hold most of what all of them show: they have the same poles, and few are enough.
+    """Sums of channels that contain most of their power: a few sums with the same poles replace many channels.
 
-    Each channel counts by its response over its noise.
+    Channels are weighted by the ratio of response to noise.
     """
     if len(measured.outputs) <= START_CHANNELS + RANDOM_CHANNELS:
         return measured
@@ -213,7 +213,7 @@ def _strongest_channels(measured: FrequencyResponse) -> FrequencyResponse:
     unit[unit == 0] = 1.0
     scaled = measured.response / unit
     strongest = np.linalg.svd(np.vstack([scaled.real, scaled.imag]), full_matrices=False)[2][:START_CHANNELS].T
-    # a narrow mode has little of all power: sums drawn at random show it too
+    # a narrow mode has little power: random sums of channels show it, too
     drawn = np.random.default_rng(0).standard_normal((len(unit), RANDOM_CHANNELS)) / np.sqrt(len(unit))
     share = np.hstack([strongest, drawn])
     sigma = np.sqrt((measured.sigma / unit) ** 2 @ share**2)
@@ -234,9 +234,9 @@ def _fractions(z: NDArray[np.complex128], a: NDArray[np.complex128]) -> NDArray[
 
 
 def _channel_weights(measured: FrequencyResponse) -> NDArray[np.float64]:
-    """(lines, channels) 1 / mean variance of a channel; of exact responses, of a billionth of its rms.
+    """(lines, channels) 1 / mean variance of a channel; for exact responses, of a billionth of its rms.
 
-    By each line's own uncertainty a resonance, whose errors grow with it, would count little, though it shows the pole.
+    Weights by each line's own uncertainty would be small at a resonance, where errors are large, but the pole shows.
     """
     size = np.sqrt(np.mean(np.abs(measured.response) ** 2, axis=0))
     noise = np.maximum(np.sqrt(np.mean(measured.sigma**2, axis=0)), 1e-9 * size)
@@ -247,7 +247,7 @@ def _channel_weights(measured: FrequencyResponse) -> NDArray[np.float64]:
 def _relocated(
     z: NDArray[np.complex128], response: NDArray[np.complex128], root: NDArray[np.float64], a: NDArray[np.complex128]
 ) -> NDArray[np.complex128]:
-    """The zeros of sigma(z) = d + sum c / (z - a), where sigma times the response has the poles a: the new poles."""
+    """The new poles: zeros of sigma(z) = d + sum c / (z - a), where sigma times the response has the poles a."""
     fractions = np.column_stack([_fractions(z, a), np.ones(len(z))])
     order = fractions.shape[1] - 1
     scale = np.linalg.norm(fractions, axis=0)
@@ -259,7 +259,7 @@ def _relocated(
         r = np.asarray(np.linalg.qr(np.vstack([columns.real, columns.imag]), mode="r"), dtype=np.float64)
         condensed.append(r[order + 1 :, order + 1 :])
     rows = np.vstack(condensed)
-    # the relaxed condition: sigma is 1 on average over the lines, and weighs as much as the rest
+    # the relaxed condition: sigma is 1 on average over the lines, with the same weight as the other equations
     importance = np.linalg.norm(root * response) / len(z)
     condition = importance * fractions.real.sum(axis=0)
     right = np.concatenate([np.zeros(len(rows)), [importance * len(z)]])

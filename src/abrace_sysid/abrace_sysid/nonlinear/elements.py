@@ -105,7 +105,7 @@ class Nonlinearity:
         said = []
         for one in self.elements:
             where = f"{'storey' if one.kind in OF_STOREYS else 'brace group'} {one.place}"
-            amount = "" if one.kind == "joints" else f" {one.limit:.3g} {UNITS[one.kind]}"
+            amount = f" {one.limit:.3g} N" if UNITS[one.kind] == "N" else ""
             said.append(f"{one.kind} in {where}{amount}")
         return ", ".join(said)
 

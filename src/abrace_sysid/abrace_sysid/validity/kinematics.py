@@ -219,8 +219,9 @@ def _of_braces(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str, 
             share, coefficients = _explained(
                 motion.spectra[stroke][lines], [motion.spectra[n][lines] for n in floors], omega
             )
-            greatest = int(np.argmax(np.abs(coefficients)))
-            possible = COSINES[0] < coefficients[greatest] < COSINES[1]
+            # of the two floors that a brace spans the upper one has the sign of its stroke
+            upper = np.flatnonzero(np.abs(coefficients) > 0.5 * np.abs(coefficients).max())[-1]
+            possible = COSINES[0] < coefficients[upper] < COSINES[1]
             yield stroke, 0.0 if possible and share > 1 - LOOSE else 1.0
         if force in motion.spectra and commands[group] in driven:
             own = [motion.spectra[name][lines] for name in driven]

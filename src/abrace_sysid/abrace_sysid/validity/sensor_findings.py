@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core import signals
+from abrace_core.run import Run
 from abrace_sysid.recordings import at_extremes
 from abrace_sysid.spectra.fourier import held_input
 from abrace_sysid.validity.finding import Finding, Verdict, judged
 from abrace_sysid.validity.kinematics import CONTRADICTION, Change, kinematics
-from abrace_sysid.validity.spikes import spikes
+from abrace_sysid.validity.spikes import reversals_with_play, spikes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from abrace_core.run import Run
     from abrace_sysid.measured_data import MeasuredData
     from abrace_sysid.validity.kinematics import Kinematics
     from abrace_sysid.validity.motion import Motion
@@ -140,9 +140,14 @@ def spiked(run: Run | MeasuredData, names: Sequence[str]) -> list[Finding]:
         Channels that are looked at.
     """
     check, found = "spikes", []
+    forces = set(names) & set(signals.numbered("f", run.groups)) if isinstance(run, Run) else set()
+    struck = [reversals_with_play(run.channels([name])[:, 0]) for name in forces]
+    blows = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *struck])[:, None] + np.arange(-1, 2))
     for name in names:
         values = run.channels([name])[:, 0]
         where, size = spikes(values)
+        own = ~np.isin(where, blows)
+        where, size = where[own], size[own]
         if len(where):
             found.append((float(np.sum(size**2) / np.sum((values - values.mean()) ** 2)), name, len(where)))
     if not found:
