@@ -29,3 +29,14 @@ def test_an_executable_runs_the_node_of_its_folder_and_name(tmp_path):
 def test_a_signal_while_modules_are_imported_ends_it_without_a_word(tmp_path, name):
     found = ended(tmp_path, f"import os, signal\nos.kill(os.getpid(), signal.{name})\nraise RuntimeError\n")
     assert (found.returncode, found.stdout, found.stderr) == (0, "", "")
+
+
+def test_it_ends_by_what_atexit_has_and_does_not_free_the_modules_objects_one_by_one(tmp_path):
+    found = ended(
+        tmp_path,
+        "import atexit\n"
+        "class Freed:\n    def __del__(self):\n        print('freed')\n"
+        "freed = Freed()\n"
+        "def main():\n    atexit.register(print, 'at exit', end='')\n    return 3\n",
+    )
+    assert (found.returncode, found.stdout, found.stderr) == (3, "at exit", "")

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
-from scipy import linalg
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError, not_json
@@ -100,7 +99,7 @@ class LinearModel:
 
     def poles(self) -> NDArray[np.complex128]:
         """Continuous poles [rad/s], slowest first; those of a discrete model are log(z)/T, one at z = 0 is -inf."""
-        poles = np.asarray(linalg.eigvals(self.a), dtype=np.complex128)
+        poles = np.asarray(np.linalg.eigvals(self.a), dtype=np.complex128)
         if self.sample_period:
             z, moving = poles, poles != 0
             poles = np.full_like(z, -np.inf)
@@ -118,7 +117,7 @@ class LinearModel:
         delays = np.exp(-1j * omega[:, None, None] * np.array(self.input_delay))
         if not self.order:
             return self.d * delays
-        values, vectors = linalg.eig(self.a)
+        values, vectors = np.linalg.eig(self.a)
         if np.linalg.cond(vectors) < 1e10:
             left = np.linalg.solve(vectors, self.b.astype(np.complex128))
             response = np.einsum("pn,fn,nm->fpm", self.c @ vectors, 1 / (s[:, None] - values), left, optimize=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base classes of all nodes, and `run`; with the nodes themselves the only modules that import rclpy.
+"""The base classes of all nodes, and `run`; only these modules and the nodes import rclpy.
 
 A node's module holds its parameter table, its callbacks and
 

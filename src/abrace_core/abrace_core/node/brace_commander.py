@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base of every node that commands braces: it answers each sample with a force that has passed the checks.
+"""The base class of nodes that command braces: each sample is answered with a checked and limited force.
 
 A subclass computes the force; this class and `Commander` do the rest.
 """
@@ -56,7 +56,7 @@ class BraceCommander(Commander):
         raise NotImplementedError
 
     def interrupt(self, cause: str) -> None:
-        """Override: nothing acts because of a fault or stop, the rig's or the node's own, whose `cause` this is."""
+        """Override to react to a fault or stop, of the rig or the node, with this `cause`: commands do not act."""
 
     def force(self, sequence: int, z: tuple[float, ...], lost: int) -> NDArray[np.float64]:
         """The force to command (groups,) [N] in answer to sample `sequence`; subclasses compute it.

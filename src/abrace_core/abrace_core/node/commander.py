@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base of every node that answers samples of the rig: with forces for the braces, or accelerations for the table.
+"""The base class of nodes that answer the rig's samples: with brace forces, or with accelerations of the table.
 
-It does what both have in common: old samples are dropped, the rig's stops obeyed, its silence noticed, and faults of
-the node's own latched until a person clears them.
+It drops old samples, commands zero while the rig is stopped, reports a fault if the rig stops publishing, and latches
+the node's own faults until a person clears them.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from abrace_core.wire import Head
 
 WATCH_PERIOD = 0.02
-"""Seconds between looks for a rig that has fallen silent."""
+"""Seconds between checks whether the rig has stopped publishing."""
 
 
 class Commander(AbraceLifecycleNode):
-    """Answers each Response while active, and until what it commands is at rest."""
+    """Answers each Response while active, and after that until its commands are at rest."""
 
     def __init__(self, name: str, table: Sequence[Parameter]) -> None:
         super().__init__(name, table)
@@ -50,10 +50,10 @@ class Commander(AbraceLifecycleNode):
         self.subscribe_to(Response, "response", self.on_response, KEPT_STREAM_QOS, raw=True)
 
     def answer(self, stamp: int, head: Head, z: tuple[float, ...], lost: int) -> None:
-        """Publish the answer to a sample; subclasses do.
+        """Publish the answer to a sample; implemented by subclasses.
 
-        `stamp` [ns]; `z` is [displacements, strokes, accelerations, forces], as measured; `lost` is what
-        `Answering.receive` says, but for DROP.
+        `stamp` [ns]; `z` is [displacements, strokes, accelerations, forces], as measured; `lost` is the value of
+        `Answering.receive`, never DROP.
         """
         raise NotImplementedError
 
@@ -62,7 +62,7 @@ class Commander(AbraceLifecycleNode):
         self.answering.activate()
 
     def come_to_rest(self) -> None:
-        """Bring what is commanded to rest; the answers end then."""
+        """Bring the commands to rest; after that no sample is answered."""
         self.safety.deactivate()
         silent = self.answering.silent(time.monotonic())
         if silent or not any(any(output.value) for output in self.safety.outputs):
@@ -70,11 +70,11 @@ class Commander(AbraceLifecycleNode):
 
     @property
     def at_rest(self) -> bool:
-        """Whether nothing is commanded."""
+        """Whether all commands are zero and no ramp is in progress."""
         return self.safety.at_rest
 
     def cleanup(self) -> None:
-        """Own nothing that acts."""
+        """Give up the outputs; commands that still act are set to zero."""
         if not self.safety.at_rest:
             self.safety.deactivate()
             self.safety.rest()
@@ -102,7 +102,7 @@ class Commander(AbraceLifecycleNode):
             self.report_fault(self.fault)
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Clear the latched fault; the next sample is a first one."""
+        """Clear the latched fault; the next sample is treated as the first one."""
         with self.lock:
             try:
                 response.message = f"cleared: {self.safety.clear()}"
@@ -120,7 +120,7 @@ class Commander(AbraceLifecycleNode):
 
     @property
     def status(self) -> str:
-        """What the node does, for its diagnostics."""
+        """The node's state, for its diagnostics."""
         if not self.active:
             return "not active"
         return f"held: {self.answering.held}" if self.answering.held else self.safety.state.words

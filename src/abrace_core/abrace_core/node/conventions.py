@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all nodes share: QoS, live parameters, diagnostics, the end of the process."""
+"""The conventions of all nodes: QoS, live parameters, diagnostics, the end of the process."""
 
 from __future__ import annotations
 
@@ -35,37 +35,37 @@ from abrace_core.node.parameters import Parameter, as_given, declare, parameter_
 RCLError = rclpy_implementation.RCLError
 
 ACKNOWLEDGEMENT_TIMEOUT = 4.0
-"""Seconds that a node that ends waits until its subscribers have what it published. On a busy machine the last messages
-may be dropped on the way; they are sent again once the subscriber answers the middleware's heartbeat, every 3 s."""
+"""Seconds that an ending node waits for its subscribers to acknowledge its messages. On a busy machine the last ones
+may get lost; they are sent again once the subscriber answers the middleware's heartbeat, every 3 s."""
 
 DIAGNOSTICS = "/diagnostics"
-"""Where monitors look for every node's state; absolute, so that they find it whatever the rig's namespace is."""
+"""Topic of every node's state; absolute, as monitors expect it, so that it does not depend on the rig's namespace."""
 
 MATCH_PERIOD = 0.05
-"""Seconds between looks for partners that came or went: rclpy's own event of a match crashes a node that destroys its
-endpoints while one comes, as clean-up does."""
+"""Seconds between checks of the numbers of matched publishers and subscribers. rclpy's own matched event crashes a node
+that destroys its endpoints while the event arrives, as clean-up does."""
 
 DISPLAY_PERIOD = 0.02
 """Seconds of wall time between messages for viewers."""
 
 STREAM_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-"""Of the rig's subscriptions to `brace_command` and `ground_motion`: of late messages only the last ones matter."""
+"""QoS of the rig's subscriptions to `brace_command` and `ground_motion`: only the newest late messages matter."""
 KEPT_STREAM_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
-"""Of the publishers of streams and of the subscriptions that must not miss a sample: ten seconds are kept.
+"""QoS of the publishers of streams and of the subscriptions that must not miss a sample: ten seconds are kept.
 
-With ten samples kept, a logger that a busy machine delayed by some milliseconds lost samples of a lockstep run, and a
+With a depth of ten, a logger that a busy machine delayed by some milliseconds lost samples of a lockstep run, and a
 commander that joined a running rig lost samples one time in two: the 50 to 80 samples that are published during
 discovery arrive all at once.
 """
 LOCKSTEP_STREAM_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
-"""Of the samples of a run in lockstep: nothing is overwritten, the rig waits for who is behind and keeps all, too."""
+"""QoS of the samples of a lockstep run: none is overwritten; the rig keeps all and waits for slow subscribers."""
 TRANSIENT_LOCAL_QOS = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 
 
 def rcl_message(error: Exception) -> str:
-    """The message of an rcl error in one line, without the positions in rcl's source and what it says of itself."""
+    """The message of an rcl error in one line, without the positions in rcl's source and its prefixes."""
     text = re.sub(r", at \S+:\d+|failed to initialize (rcl|logging): ", "", " ".join(str(error).split()))
     if folder := re.fullmatch(r"Failed to create log directory '(.*)': (\d+)", text):
         return f"log directory {folder[1]}: {os.strerror(int(folder[2]))}, expected ROS_LOG_DIR to name one"
@@ -73,7 +73,7 @@ def rcl_message(error: Exception) -> str:
 
 
 def clearing(node: Node) -> str:
-    """What a person does about a latched fault of a node that has the service `~/clear_fault`."""
+    """The instruction for clearing a latched fault of a node that has the service `~/clear_fault`."""
     service = node.resolve_service_name("~/clear_fault")
     return f"remove its cause, then: ros2 service call {service} std_srvs/srv/Trigger"
 
@@ -90,7 +90,7 @@ def _description(node: type, name: str, table: Sequence[Parameter]) -> str:
 
 
 class Described(Exception):  # noqa: N818
-    """Raised instead of making a node, when its description was asked for, which is the text."""
+    """Raised instead of creating a node, if `--help` was given; its text is the node's description."""
 
 
 class AbraceNode(Node):
@@ -103,22 +103,22 @@ class AbraceNode(Node):
     table
         Its parameters; their values are attributes of `parameters`.
     context
-        Of rclpy; None: the process's.
+        The rclpy context; None: the process's default.
     """
 
     due: float | None = None
-    """When `tick` is to be called [s, monotonic]; None: not at all. Set from another thread it takes a `rouse`."""
+    """When `tick` is to be called [s, monotonic]; None: not at all. Call `rouse` after setting it in another thread."""
     streams = False
-    """Whether its messages are never to be held up: it has two threads, and streams.xml is for it."""
+    """Whether its messages must never be delayed: then it has two threads, and streams.xml is its DDS profile."""
     exit_code: int | None = None
-    """Of the process, once the node has finished."""
+    """Exit code of the process, once the node has finished."""
     reported_fault: str | None = None
     """The fault that was last logged and published."""
     remedy = ""
-    """What a person does about the node's faults, for the log."""
+    """Instruction for clearing the node's faults, for the log."""
 
     describing = False
-    """Whether nodes are not made, but described: `--help`."""
+    """Whether creating a node raises `Described` instead, for `--help`."""
 
     def __init__(self, name: str, table: Sequence[Parameter], context: Context | None = None) -> None:
         if AbraceNode.describing:
@@ -143,8 +143,8 @@ class AbraceNode(Node):
         self.create_timer(1.0, self.publish_diagnostics, clock=steady)
         self.create_timer(MATCH_PERIOD, self._look_for_partners, clock=steady)
         self._namesakes = self.create_timer(1.0, self._look_for_namesakes, clock=steady)
-        # rclpy looks up the caller of each log message; the first look goes through all modules for 20 to 50 ms, which
-        # a fault must not cost in the loop
+        # rclpy looks up the caller of each log message; the first look-up searches all modules for 20 to 50 ms: it is
+        # done here, so that the first fault does not delay the loop
         inspect.getframeinfo(cast("FrameType", inspect.currentframe()))
 
     def _typed(self, given: list[RosParameter]) -> list[RosParameter]:
@@ -163,7 +163,7 @@ class AbraceNode(Node):
         return SetParametersResult(successful=True)
 
     def _on_parameters_set(self, given: list[RosParameter]) -> None:
-        """Make use of what has been accepted."""
+        """Apply the accepted values."""
         with self.lock:
             for name, (value, change) in self._changes.items():
                 setattr(self.parameters, name, value)
@@ -171,15 +171,15 @@ class AbraceNode(Node):
         self._changes = {}
 
     def prepare_change(self, name: str, value: Any) -> Callable[[], None]:
-        """Check a live parameter's new `value`, or refuse it with an AbraceError; returns what makes use of it.
+        """Check a live parameter's new `value`, or refuse it with an AbraceError; returns the function that applies it.
 
-        That is called with the lock once all parameters that are set together have been accepted; until then nothing
-        may change. What takes long belongs here, not there: the loop goes on meanwhile.
+        The function is called with the lock once all parameters that are set together have been accepted; until then
+        nothing may change. Long computations belong in this method, which does not block the loop.
         """
         return lambda: None
 
     def publish_on(self, message_type: type, topic: str, qos: QoSProfile) -> Publisher:
-        """Create a publisher whose number of subscribers is in the diagnostics, and that is flushed at the end."""
+        """Create a publisher that is flushed at the end; the diagnostics show its number of subscribers."""
         publisher = self.create_publisher(message_type, topic, qos)
         self._endpoint_counts.append((f"subscribers of {topic}", publisher.get_subscription_count))
         self._publishers_of_streams.append(publisher)
@@ -188,7 +188,7 @@ class AbraceNode(Node):
     def subscribe_to(
         self, message_type: type, topic: str, callback: Callable, qos: QoSProfile, *, raw: bool = False
     ) -> Subscription:
-        """Create a subscription whose number of publishers is in the diagnostics."""
+        """Create a subscription; the diagnostics show its number of publishers."""
         subscription = self.create_subscription(message_type, topic, callback, qos, raw=raw)
         self._endpoint_counts.append((f"publishers of {topic}", subscription.get_publisher_count))
         return subscription
@@ -200,7 +200,7 @@ class AbraceNode(Node):
             self.publish_diagnostics()
 
     def _look_for_namesakes(self) -> None:
-        """Log, once, that another node has this one's name: both take what is meant for the other."""
+        """Log, once, that another node has this one's name: each receives the other's requests."""
         if self.get_node_names_and_namespaces().count((self.get_name(), self.get_namespace())) > 1:
             self._namesakes.cancel()
             self.get_logger().error(
@@ -213,7 +213,7 @@ class AbraceNode(Node):
         return None, "running", {}
 
     def publish_diagnostics(self) -> None:
-        """Publish the node's state on `/diagnostics`, under its full name, and log a fault that has come or gone."""
+        """Publish the node's state on `/diagnostics`, under its full name, and log a new or cleared fault."""
         self._diagnostics_due = False
         fault, message, values = self.diagnose()
         if fault != self.reported_fault:
@@ -231,13 +231,13 @@ class AbraceNode(Node):
         self._diagnostics.publish(array)
 
     def report_fault(self, fault: str | None) -> None:
-        """Have what `diagnose` will call the fault published and logged, if it has come or gone since the last time."""
+        """Publish the diagnostics and log the `fault`, by `later`, if it is new or cleared since the last report."""
         if fault != self.reported_fault and not self._diagnostics_due:
             self._diagnostics_due = True
             self.later(self.publish_diagnostics)
 
     def later(self, act: Callable[[], object]) -> None:
-        """Call `act` where it does not hold up the loop: of a node with one thread, now."""
+        """Call `act` where it does not delay the loop; a node with one thread calls it at once."""
         act()
 
     def _log_fault(self, fault: str | None) -> None:
@@ -259,7 +259,7 @@ class AbraceNode(Node):
             executor.shutdown()
 
     def autostart(self) -> None:
-        """Override to begin what needs no command; called once, unless a signal came before."""
+        """Override to start without a command; called once, unless a signal came before."""
 
     def tick(self) -> None:
         """Override; called with the lock when `due` has passed."""
@@ -271,7 +271,7 @@ class AbraceNode(Node):
                 self.tick()
 
     def rouse(self) -> None:
-        """Have the loop look at once whether it is to go on, and when `tick` is due; from any thread."""
+        """Wake the loop, so that it checks at once whether to go on and when `tick` is due; from any thread."""
         self.roused.set_result(None)
 
     @property
@@ -296,7 +296,7 @@ class AbraceNode(Node):
         """Override to close files before the node is destroyed."""
 
     def flush_publishers(self) -> None:
-        """Wait until subscribers have acknowledged what was published: a destroyed publisher sends nothing more."""
+        """Wait until subscribers have acknowledged all messages: a destroyed publisher does not resend any."""
         deadline = time.monotonic() + ACKNOWLEDGEMENT_TIMEOUT
         for publisher in self._publishers_of_streams:
             publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline - time.monotonic())))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node of a control law of one's own: guarded, recorded, stopped and latched as every commander of braces is."""
+"""The node of a user's control law, with the limits, stops and latched faults of every node that commands braces."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class LawNode(BraceCommander):
         super().__init__(name, [*own, *PARAMETERS])
 
     def configure(self) -> None:
-        """Make the law, with the node's parameters."""
+        """Create the law, with the node's parameters."""
         given = self.parameters
         law = made_law(type(self).law, {name: getattr(given, name) for name in self.options})
         self.guarded = GuardedLaw(law, 1 / given.sample_rate, given.ramp_time)
@@ -47,7 +47,7 @@ class LawNode(BraceCommander):
         self.create_topics(1 / given.sample_rate, given.force_limit)
 
     def restart(self, sequence: int, floors: int, groups: int) -> None:
-        """The law begins anew."""
+        """Restart the law from rest."""
         if groups != len(self.nothing):
             self.safety.fault(
                 f"the rig has {groups} brace groups, expected {len(self.nothing)} (parameter force_limit)"
@@ -59,7 +59,7 @@ class LawNode(BraceCommander):
             self.safety.fault(str(error))
 
     def force(self, sequence: int, z: tuple[float, ...], lost: int) -> np.ndarray:
-        """The law's force; an error in it is a fault, and nothing is commanded any more."""
+        """The law's force; an error in the law is a fault, after which the command is zero."""
         try:
             return np.array(self.guarded.force(sequence, z, lost))
         except AbraceError as error:
@@ -68,5 +68,5 @@ class LawNode(BraceCommander):
 
 
 def run_law(law: type[Law]) -> int:
-    """Run the node of a `law`, called as its class in lower case, to its end; returns the process's exit code."""
+    """Run the node of a `law` until it ends; returns the process's exit code. Its name is the class's in lower case."""
     return run(type(law.__name__, (LawNode,), {"law": law, "__module__": law.__module__}))

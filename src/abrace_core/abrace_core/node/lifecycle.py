@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base of nodes that move something: life cycle nodes, which do so only while they are active."""
+"""The base class of nodes that move something: life cycle nodes, which do so only while they are active."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
     """A node that can move something: it does so only while active.
 
     Subclasses implement `configure`, `activate` and `deactivate`; an AbraceError in them refuses the transition. Their
-    table of parameters is without `autostart` and those of `real_time`. One that drives something overrides
-    `come_to_rest` and `at_rest` too.
+    table of parameters does not contain `autostart` and the parameters of `real_time`. A subclass that drives something
+    also overrides `come_to_rest` and `at_rest`.
 
-    It has two threads, so that nothing holds up a sample. In the main one run `tick` and the callbacks of
-    subscriptions, with the `lock`. Everything else runs in a second one: services, parameters, timers, diagnostics,
-    actions. What runs there takes the lock to change what the loop uses, for as long as an assignment takes; the
-    methods named above are called with it. What the loop has to say goes there by `later`.
+    The node has two threads, so that nothing delays a sample. The main thread, the loop, runs `tick` and the callbacks
+    of subscriptions, with the `lock`. The second thread runs everything else: services, parameters, timers,
+    diagnostics, actions. It takes the lock, for no longer than an assignment, to change data that the loop uses; the
+    methods named above are called with it. The loop passes work, such as log messages, to the second thread by `later`.
     """
 
     streams = True
@@ -68,8 +68,13 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         self._service_change_state.callback = self._on_change_state
 
     def keep_endpoints(self) -> None:
-        """Let the publishers, subscriptions and services that there are now outlive every clean-up."""
+        """Keep the publishers, subscriptions and services that exist now through every clean-up."""
         self._permanent = {*self.publishers, *self.subscriptions, *self.services}
+
+    def destroy_node(self) -> None:
+        """Destroy the node and its state machine; rclpy leaves that one, and with it the node in the graph."""
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()
 
     @contextlib.contextmanager
     def spun(self) -> Iterator[Executor]:
@@ -104,7 +109,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
     def create_subscription(
         self, msg_type: type, topic: str, callback: Callable[[Any], None], qos_profile: QoSProfile | int, **options: Any
     ) -> Subscription:
-        """Create a subscription whose `callback`, of a message, runs in the loop's thread, with the lock."""
+        """Create a subscription whose `callback` is called with each message in the loop's thread, with the lock."""
         return super().create_subscription(msg_type, topic, self._in_loop(callback), qos_profile, **options)
 
     def turn(self) -> None:
@@ -124,7 +129,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         return call
 
     def tell_rest(self) -> None:
-        """Have those go on who wait until the node is at rest, if it is; from any thread."""
+        """Wake the threads that wait for the node to be at rest, if it is; from any thread."""
         with self.lock:
             if self._awaiting_rest and self.at_rest:
                 self._awaiting_rest = False
@@ -144,7 +149,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         return True
 
     def until_at_rest(self) -> bool:
-        """Wait, without the lock, until the loop has brought the node to rest; returns whether it has in time."""
+        """Wait, without the lock, until the loop has brought the node to rest; returns False if that took too long."""
         with self._rest:
             self._awaiting_rest = not self.at_rest
             return self._rest.wait_for(lambda: self.at_rest, self.ramp_time + REST_MARGIN)
@@ -209,9 +214,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         """Life cycle callback."""
         result = self._transition(self.configure)
         self.configured = result == TransitionCallbackReturn.SUCCESS
-        if self.configured:
-            real_time.collect_garbage()
-        else:
+        if not self.configured:
             self._destroy_endpoints()
         return result
 
@@ -238,14 +241,14 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         with self.lock:
             result = self._transition(self.activate)
             self.active = result == TransitionCallbackReturn.SUCCESS
-            gc.freeze()  # what it has made is looked at by no collection, which would hold up the loop
+            gc.freeze()  # objects made so far are left out of later collections, which would delay the loop
             if not self.active:
                 self.due = None
         self.rouse()
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Life cycle callback; where it fails the node is reset by `on_error`, never left active."""
+        """Life cycle callback; if it fails, `on_error` resets the node: it never stays active."""
         resting = self._transition(self.come_to_rest, TransitionCallbackReturn.ERROR)
         if resting == TransitionCallbackReturn.SUCCESS and not self.until_at_rest():
             self.get_logger().error(f"deactivate: not at rest after {self.ramp_time + REST_MARGIN:g} s")
@@ -261,10 +264,11 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
             self.configured = False
             result = self._transition(self.cleanup, TransitionCallbackReturn.ERROR)
         self._destroy_endpoints()
+        real_time.collect_garbage()
         return result
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Life cycle callback: an active node stops as when it is deactivated; it ends up finalized in any case."""
+        """Life cycle callback: an active node is deactivated first; the node is finalized in any case."""
         stopped = not self.active or self.on_deactivate(state) == TransitionCallbackReturn.SUCCESS
         if not stopped:
             self.on_error(state)
@@ -275,7 +279,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         with self.lock:
             self.active = self.configured = False
             self.due = None
-            with contextlib.suppress(Exception):  # logged by the transition; `configure` may not have come far
+            with contextlib.suppress(Exception):  # logged by the transition; `configure` may have failed early
                 self.cleanup()
         self._destroy_endpoints()
         return TransitionCallbackReturn.SUCCESS

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node's parameters, declared, checked and described from one table."""
+"""A node's parameters: one table from which they are declared, checked and described."""
 
 from __future__ import annotations
 
@@ -42,21 +42,21 @@ class Parameter:
     Parameters
     ----------
     name
-        As in `-p name:=value`.
+        Name, as in `-p name:=value`.
     default
-        Its type is the parameter's type; a list for an array.
+        Default value; its type is the parameter's type, a list for an array.
     description
-        What it is, with its unit.
+        Description with the unit.
     minimum, maximum
         Range of a number, or of each number of an array.
     choices
-        The values that a text, or each text of an array, may have; empty: any.
+        The valid values of a text, or of each text of an array; empty: any.
     element
         Type of an array's elements, for arrays that are empty by default.
     required
         Whether an empty value is refused.
     source
-        How a required parameter is given, where not by `-p`.
+        How a required parameter is given, if not by `-p`.
     live
         Whether it may be changed while the node runs; see `AbraceNode.prepare_change`.
     """
@@ -128,10 +128,10 @@ class Parameter:
         return AbraceError(f"parameter {self.name}: not given, expected {source}")
 
     def typed(self, given: RosParameter) -> RosParameter:
-        """`given` with the parameter's own type: 10 for 10.0, a single value as a list of one, an empty list.
+        """`given`, converted to the parameter's own type: 10 to 10.0, a single value to a list of one, an empty list.
 
-        `-p x:=[]` comes without a type, `ros2 param set NODE x []` as booleans, a list from Python as bytes; where a
-        tool can't pass an empty list, `['']` is one.
+        An empty list has no type from `-p x:=[]`, booleans from `ros2 param set NODE x []`, and bytes from Python; for
+        tools that cannot pass an empty list, `['']` is one, too.
         """
         if self._element is float and given.type_ in (_TYPES[int], _ARRAY_TYPES[int]):
             whole = given.type_ == _TYPES[int]
@@ -160,7 +160,7 @@ class Parameter:
         return value
 
     def _near(self, value: Any) -> str:
-        """Which of the choices a wrong value may have meant."""
+        """A suggestion of the choice that is most similar to a wrong value."""
         texts = [text for text in (value if isinstance(value, list) else [value]) if isinstance(text, str)]
         return next((did_you_mean(text, self.choices) for text in texts if text not in self.choices), "")
 
@@ -177,7 +177,7 @@ class Parameter:
 
 
 def parameter_help(table: Sequence[Parameter]) -> str:
-    """A table's parameters for a terminal: each as it is given, its description and what it may be."""
+    """The help text of a table's parameters: each with its default, description and valid values."""
     lines = []
     for parameter in table:
         lines.append(f"  -p {as_given(parameter)}")
@@ -187,13 +187,13 @@ def parameter_help(table: Sequence[Parameter]) -> str:
 
 
 def as_given(parameter: Parameter) -> str:
-    """A parameter with its default as it is given, `name:=value`."""
+    """A parameter with its default, as on the command line: `name:=value`."""
     default = "..." if parameter.required and not parameter.default else _as_given(parameter.default)
     return f"{parameter.name}:={default}"
 
 
 def _as_given(value: Any) -> str:
-    """A value as it is written after `:=`."""
+    """A value as on the command line, after `:=`."""
     if isinstance(value, list):
         return f"[{','.join(map(_as_given, value))}]"
     return str(value).lower() if isinstance(value, bool) else str(value) or "''"
@@ -228,7 +228,7 @@ def declare(node: Node, table: Sequence[Parameter]) -> SimpleNamespace:
 
 
 def _declare(node: Node, parameter: Parameter, value: Any) -> None:
-    """Declare one parameter, with its own type even where it is an empty list, which rclpy takes for one of bytes."""
+    """Declare one parameter with its own type, also for an empty list, which rclpy takes for a list of bytes."""
     if value != []:
         node.declare_parameter(parameter.name, value, parameter.descriptor(), ignore_override=True)
         return
@@ -238,7 +238,7 @@ def _declare(node: Node, parameter: Parameter, value: Any) -> None:
 
 
 def refuse_unknown_types(node: Node) -> None:
-    """Have a node's services refuse parameters of types that do not exist; in rclpy 7.1 they end the process."""
+    """Make a node's services refuse parameters of types that do not exist; in rclpy 7.1 these end the process."""
     for service in node.services:
         if service.srv_type in (SetParameters, SetParametersAtomically):
             service.callback = _refusing(service.callback)

@@ -33,10 +33,10 @@ from abrace_core.node.transport import profile
 from abrace_core.ros_arguments import check_environment, mistake_in
 
 EVENTS_WHEN_LATE = 3
-"""Callbacks between two ticks of a node that is late: without the answers in them it cannot catch up."""
+"""Callbacks between two ticks of a node that is late: they bring the answers without which it cannot catch up."""
 
 END_WITH = "ABRACE_END_WITH"
-"""Environment variable: number of a process with which the node ends, as `ros2 launch`, which SIGTERM ends at once."""
+"""Environment variable: number of a process; the node ends with it. For `ros2 launch`, which SIGTERM ends at once."""
 
 
 class _Stop(BaseException):
@@ -44,19 +44,21 @@ class _Stop(BaseException):
 
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""SIGHUP: the terminal is gone, as when a connection to the rig's computer breaks."""
+"""SIGHUP: the terminal was closed, for example because the connection to the rig's computer was lost."""
 
 
 class _Signals:
-    """A signal of `_SIGNALS` ends the node: between two callbacks while it spins, at once while it does its work.
+    """Handles `_SIGNALS`: they end a spinning node between two callbacks, and interrupt the `work` of an offline node.
 
-    Otherwise a signal is only noted, so that none breaks off the start or the end of a node: Ctrl-C under `ros2 launch`
-    comes twice, from the terminal and from launch. A SIGHUP that was ignored when the process started, as by `nohup`,
-    stays ignored.
+    At other times a signal is only noted, so that it does not interrupt the start or the end of a node: Ctrl-C under
+    `ros2 launch` comes twice, from the terminal and from launch. A SIGHUP that was ignored when the process started, as
+    by `nohup`, stays ignored.
     """
 
     def __init__(self) -> None:
         self.stopped = False
+        self.rouse: Callable[[], None] | None = None
+        """What has a node that spins look at `stopped` at once; it may wait for a lock, so a thread calls it."""
         self._interrupting: set[int] = set()
         self._terminals = [number for number in (1, 2) if os.isatty(number)]
         for number in _SIGNALS:
@@ -66,9 +68,11 @@ class _Signals:
     def _received(self, number: int, frame: FrameType | None) -> None:
         if number == signal.SIGHUP:
             _silence(self._terminals)
-        self.stopped = True
+        first, self.stopped = not self.stopped, True
+        if first and self.rouse is not None:
+            threading.Thread(target=self.rouse, daemon=True).start()
         if number in self._interrupting:
-            # the same one again would interrupt what cleans up after the first
+            # a second signal of this kind would interrupt the clean-up after the first
             self._interrupting.discard(number)
             raise _Stop
 
@@ -83,10 +87,10 @@ class _Signals:
 
 
 def _ignore_signals() -> None:
-    """Ignore signals for good: at the end of the interpreter nobody takes them, and they would kill it.
+    """Ignore signals from now on: while the interpreter ends, no handler runs, and a signal would kill the process.
 
-    First without Python's knowledge: one that came while `signal.signal` runs would be printed as an error. So would
-    one that another thread was just taking then.
+    The handler is first replaced in C: Python prints a signal that arrives during `signal.signal` as an error. The same
+    holds for a signal that another thread receives at this moment, hence the hook.
     """
     sys.unraisablehook = _print_unless_signal
     set_handler = ctypes.pythonapi.PyOS_setsig
@@ -97,19 +101,19 @@ def _ignore_signals() -> None:
 
 
 def _print_unless_signal(unraisable: sys.UnraisableHookArgs) -> None:
-    """Print an error that nobody can catch, unless it is that a signal has been ignored."""
+    """Print an error that cannot be caught, unless it only reports that a signal was ignored."""
     if unraisable.exc_type is not OSError or "ignored due to race condition" not in str(unraisable.exc_value):
         sys.__unraisablehook__(unraisable)
 
 
 def _silence(descriptors: Sequence[int]) -> None:
-    """Drop what is still printed there: a message at the end would raise, and the node would not end cleanly."""
+    """Discard further output to these `descriptors`: printing to a closed terminal would raise an error at the end."""
     for descriptor in descriptors:
         os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
 
 
 def _end_with(process: str) -> None:
-    """Stop this node as soon as another `process`, by its number, has ended, however that ended; a thread waits for it.
+    """Stop this node when another `process`, given by its number, ends in any way; a thread waits for that.
 
     Raises
     ------
@@ -133,7 +137,7 @@ def _end_with(process: str) -> None:
 
 
 def _turn(node: AbraceNode, executor: Executor, over: Callable[[], bool]) -> None:
-    """Spin, and call the node's `tick` when it is due, until it is over; `rouse` has it look at once."""
+    """Spin, and call the node's `tick` when it is due, until `over` returns true; `rouse` makes it check at once."""
     spin_once, spin, turn = executor.spin_once, executor.spin_until_future_complete, node.turn
     monotonic = time.monotonic
     while True:
@@ -157,9 +161,10 @@ def _turn(node: AbraceNode, executor: Executor, over: Callable[[], bool]) -> Non
 
 def _spin(node: AbraceNode, signals: _Signals) -> int:
     """Spin until the node finishes, or has come to rest after a signal; returns the exit code."""
+    signals.rouse = node.rouse
     with node.spun() as executor:
-        # its pauses would delay samples
-        real_time.collect_garbage()
+        # now, because the pauses of a collection would delay samples
+        real_time.collect_unfrozen_garbage()
         if not signals.stopped:
             node.autostart()
         _turn(node, executor, lambda: signals.stopped or node.exit_code is not None)
@@ -200,7 +205,7 @@ def _close(node: AbraceNode | None, program: str) -> int:
 
 
 def _describe(create: Callable[[], AbraceNode]) -> None:
-    """Print what a node is for and its parameters, without making it."""
+    """Print the description of a node and its parameters, without creating it."""
     AbraceNode.describing = True
     try:
         create()
@@ -210,21 +215,21 @@ def _describe(create: Callable[[], AbraceNode]) -> None:
         AbraceNode.describing = False
     try:
         print(text, flush=True)
-    except BrokenPipeError:  # who read it has had enough
+    except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         _silence((1,))
 
 
 def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None) -> int:
-    """Run a node to its end and return the process's exit code; with `--help`, `--version` only print what it is.
+    """Run a node until it ends and return the process's exit code; `--help` and `--version` only print the answer.
 
     A node with a method `work` is an offline one: `work` is called once and the process ends.
 
     Parameters
     ----------
     create
-        Makes the node.
+        Function that creates the node.
     arguments
-        Of the command line; those of the process by default.
+        Command line; that of the process by default.
     """
     arguments = list(sys.argv if arguments is None else arguments)
     program = arguments[0].rsplit("/", 1)[-1]
@@ -249,7 +254,7 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
             try:
                 node = create()
             except RCLError as error:
-                raise AbraceError(f"the node cannot be made: {rcl_message(error)}") from error
+                raise AbraceError(f"the node cannot be created: {rcl_message(error)}") from error
         if hasattr(node, "work"):
             signals.interrupt(node.work)
             exit_code = node.exit_code or 0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the kernel is asked for the loop's thread: a priority, processors of its own, memory that stays.
+"""Real-time settings of the loop's thread: scheduling priority, processor affinity, locked memory.
 
-As `ros2_control` names it. What the machine does not allow is a warning that says what to do: the node runs all the
-same, with the delays of an ordinary process.
+The parameters have the names of `ros2_control`. A setting that the machine does not allow is a warning with
+instructions; the node still runs, with the delays of an ordinary process.
 """
 
 from __future__ import annotations
@@ -30,35 +30,40 @@ _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CAP_IPC_LOCK = 1 << 14
 
 GARBAGE_PERIOD = 60.0
-"""Seconds between collections of new garbage, in the second thread: the loop makes none, what people ask for little."""
+"""Seconds between collections of new garbage, in the second thread. The loop makes no garbage, services little."""
 
 
 def collect_garbage() -> None:
-    """Collect all garbage, and leave what remains out of later collections; while nothing acts: up to 0.1 s."""
+    """Collect all garbage, and leave the remaining objects out of later collections; up to 0.1 s, so at rest only."""
     gc.unfreeze()
+    collect_unfrozen_garbage()
+
+
+def collect_unfrozen_garbage() -> None:
+    """Collect garbage but for that of earlier objects that were frozen, and freeze what remains as well."""
     gc.collect()
     gc.freeze()
 
 
 def collect_new_garbage() -> None:
-    """Collect what became garbage soon after it was made; the time goes with what was made since last time."""
+    """Collect the youngest generation; the duration depends on the number of objects made since the last collection."""
     gc.collect(0)
 
 
 def _threads() -> Iterator[int]:
-    """Numbers of this process's threads: the caller's, and the middleware's, which bring the loop its messages."""
+    """Numbers of this process's threads: the caller's, and the middleware's, which deliver messages to the loop."""
     return (int(thread.name) for thread in Path("/proc/self/task").iterdir())
 
 
 def apply(given: Any, warn: Callable[[str], object]) -> None:
-    """Give all threads that there are what the parameters ask for, before the first sample.
+    """Apply the parameters to all existing threads, before the first sample.
 
     Parameters
     ----------
     given
-        Has the values of PARAMETERS.
+        Values of PARAMETERS, as attributes.
     warn
-        Called with a line for each thing that this machine does not allow.
+        Called with a line for each setting that this machine does not allow.
 
     Raises
     ------
@@ -84,7 +89,7 @@ def apply(given: Any, warn: Callable[[str], object]) -> None:
 
 
 def _lock_memory(warn: Callable[[str], object]) -> None:
-    """Keep memory in RAM, also what is still to be had: where that is limited, the node would fail later."""
+    """Lock present and future memory in RAM; only if unlimited, since a limit would let the node fail later."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     rights = int(status.partition("CapEff:")[2].split()[0], 16)
     unlimited = rights & _CAP_IPC_LOCK or resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
@@ -93,7 +98,7 @@ def _lock_memory(warn: Callable[[str], object]) -> None:
 
 
 def as_the_loop(given: Any) -> None:
-    """Make the calling thread one like the loop's, as the parameters in `given` ask; what is not allowed is left."""
+    """Give the calling thread the loop's processors and priority, from `given`; a priority only if allowed."""
     if given.cpu_affinity:
         os.sched_setaffinity(0, given.cpu_affinity)
     if given.thread_priority:
@@ -102,9 +107,9 @@ def as_the_loop(given: Any) -> None:
 
 
 def beside_the_loop(processors: set[int]) -> None:
-    """Make the calling thread one beside the loop: on those processors, and of the next lower priority.
+    """Give the calling thread, the node's second one, these `processors` and the priority next below the loop's.
 
-    Not of an ordinary one: where it holds Python's interpreter lock the loop waits for it.
+    An ordinary priority is too low: the loop waits for this thread while it holds Python's interpreter lock.
     """
     os.sched_setaffinity(0, processors)
     if os.sched_getscheduler(0) == os.SCHED_FIFO:

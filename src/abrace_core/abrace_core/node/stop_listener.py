@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hears every stop button of the laboratory and of the rig, whatever its QoS, and tells one sender from another.
+"""Receives the stops of the laboratory and of the rig from publishers of any QoS, and identifies their senders.
 
-rclpy does not say who published a message. Its C library does: the messages are taken from there, by nobody's executor.
+rclpy does not report the publisher of a message. The C library rcl does: messages are taken from it, without an
+executor.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ if TYPE_CHECKING:
     from rclpy.subscription import Subscription
 
 TOPICS = ("/emergency_stop", "emergency_stop")
-"""The whole laboratory's, and the rig's own."""
+"""The topic of the whole laboratory, and the rig's own."""
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
-"""What the middleware calls a node that has left, or whose name it has not heard: after a cut of its link."""
+"""The middleware's name of a node that has left, or whose name it has not received after a lost connection."""
 
 _DEPTH = 100
 _QOS = (
@@ -34,8 +35,8 @@ _QOS = (
     QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL),
     QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
 )
-"""One for each kind of publisher: what a volatile subscription misses is what a latched button said before it came, and
-a reliable one does not hear a publisher that is not."""
+"""One for each kind of publisher: a volatile subscription misses the earlier message of a transient local publisher,
+and a reliable subscription is not matched with a best-effort publisher."""
 
 
 class _Gid(ctypes.Structure):
@@ -63,7 +64,7 @@ def _rcl() -> ctypes.CDLL:
 
 
 def _taken(subscription: Subscription) -> Iterator[tuple[bytes, int, bool]]:
-    """Sender, number and content of the messages that have come."""
+    """Sender, number and content of the received messages."""
     data, info = ctypes.c_bool(), _MessageInfo()
     handle = subscription.handle
     with handle:
@@ -74,12 +75,12 @@ def _taken(subscription: Subscription) -> Iterator[tuple[bytes, int, bool]]:
 
 
 class StopListener:
-    """The stop buttons that a node hears.
+    """The stops that a node receives.
 
     Parameters
     ----------
     node
-        Whose subscriptions they are, outside its executor.
+        The node that owns the subscriptions; its executor does not spin them.
     heartbeat
         As for `StopSenders` [s].
     """
@@ -96,8 +97,13 @@ class StopListener:
         self._numbers: dict[bytes, int] = {}
         self._senders = StopSenders(heartbeat, time.monotonic())
 
+    def close(self) -> None:
+        """Unsubscribe; the node does not destroy what it does not know."""
+        for subscription in self._subscriptions:
+            subscription.destroy()
+
     def who(self) -> str:
-        """Who asks for a stop now; empty: nobody."""
+        """The senders that ask for a stop now, as text; empty: none."""
         now = time.monotonic()
         for subscription in self._subscriptions:
             for sender, number, pressed in _taken(subscription):
@@ -109,7 +115,7 @@ class StopListener:
         return self._senders.who(now)
 
     def forget_gone(self) -> None:
-        """A person clears: who has left the graph does not count any more."""
+        """Forget the senders that have left the graph, because a person clears the stop."""
         present = {
             bytes(one.endpoint_gid) for topic in self._topics for one in self._node.get_publishers_info_by_topic(topic)
         }

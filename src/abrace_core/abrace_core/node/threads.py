@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The two threads of a node that streams: subscriptions and `tick` in the loop's, everything else in a second one.
 
-A node of rclpy belongs to one executor, which spins what the node's attributes `subscriptions`, `timers`, `services`,
-`clients` and `waitables` name. So each executor gets a view of the node that shows its share of them: for ROS, and for
-who looks at the graph, it is one node.
+A node of rclpy belongs to one executor, which spins the node's `subscriptions`, `timers`, `services`, `clients` and
+`waitables`. Here each of two executors gets a view of the node with a part of these. In the ROS graph it is one node.
 """
 
 from __future__ import annotations
@@ -20,16 +19,16 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 LONGEST_WAIT = 0.1
-"""Seconds that an executor may wait at a time. An untimed wait of the events executor never returns to Python."""
+"""Longest wait of an executor [s]. A wait of the events executor without a limit never returns to Python."""
 
 SWITCH_INTERVAL = 1e-4
-"""Seconds after which the second thread, in the middle of Python code, gives way to the loop; Python has 0.005."""
+"""Seconds after which the second thread, running Python code, yields to the waiting loop; Python's default is 0.005."""
 
 _KINDS = frozenset({"subscriptions", "timers", "services", "clients", "waitables", "guards"})
 
 
 class _View:
-    """A node that has only what one executor is to spin."""
+    """A view of a node that shows only the entities that one executor spins."""
 
     executor: Executor | None = None
 
@@ -42,9 +41,9 @@ class _View:
 
 
 class TwoThreads:
-    """What spins a node: the executor of the loop, which the caller spins, and another one in a thread of its own.
+    """The two executors of a node: that of the loop, which the caller spins, and another one in a thread of its own.
 
-    It stands for both where rclpy asks for the node's executor.
+    To rclpy it is the node's executor.
 
     Parameters
     ----------
@@ -53,7 +52,7 @@ class TwoThreads:
     loop
         The executor that the thread of the loop spins.
     begin, failed
-        Called in the second thread: at its begin, and once it has ended with an `error`.
+        Called in the second thread: when it begins, and if it has ended with an `error`.
     """
 
     def __init__(self, node: Node, loop: Executor, begin: Callable[[], None], failed: Callable[[], None]) -> None:
@@ -70,7 +69,7 @@ class TwoThreads:
         self.error: BaseException | None = None
 
     def start(self) -> None:
-        """Take the node over and start the second thread."""
+        """Become the node's executor and start the second thread."""
         self._node.executor = self  # type: ignore[assignment]
         self._thread.start()
 
@@ -84,7 +83,7 @@ class TwoThreads:
             self._failed()
 
     def stop(self) -> None:
-        """End the second thread after all that it was given to do, and leave the node; raises what ended it early."""
+        """End the second thread after its pending tasks, and release the node; raises the error that ended it early."""
         self.create_task(self._closing.set_result, None)
         while self._thread.is_alive():
             # it may wait for the loop, see `in_loop`
@@ -96,18 +95,18 @@ class TwoThreads:
             raise self.error
 
     def add_node(self, _: Node) -> bool:
-        """For rclpy."""
+        """Called by rclpy."""
         for executor, view in self._views.items():
             executor.add_node(view)  # type: ignore[arg-type]
         return True
 
     def remove_node(self, _: Node) -> None:
-        """For rclpy."""
+        """Called by rclpy."""
         for executor, view in self._views.items():
             executor.remove_node(view)  # type: ignore[arg-type]
 
     def wake(self) -> None:
-        """For rclpy: something has been created or destroyed."""
+        """Called by rclpy when an entity of the node has been created or destroyed."""
         for executor in self._views:
             executor.wake()
 
@@ -116,9 +115,9 @@ class TwoThreads:
         return self._other.create_task(act, *arguments)
 
     def in_loop(self, act: Callable[[], None]) -> None:
-        """Have the loop's thread call `act` between two callbacks, and wait until it has, without any lock.
+        """Have the loop's thread call `act` between two callbacks, and wait until it has; call it without any lock.
 
-        What an executor spins may be destroyed only where that executor does not look at it just then.
+        An entity may be destroyed only while the executor that spins it is not using it.
         """
         if threading.current_thread() is not self._thread:
             act()

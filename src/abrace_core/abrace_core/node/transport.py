@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How Fast DDS is set up for a node: by `config/streams.xml` if its messages must not wait, else `shared_memory.xml`.
+"""The Fast DDS profile of a node: `config/streams.xml` if its messages must not be delayed, else `shared_memory.xml`.
 
-Before its first message to a listener in shared memory Fast DDS asks whether it is alive, and may sleep a third of a
-second for the answer (`SharedMemGlobal::Port::healthy_check`): in `publish`, in the middle of a run, when a node joins.
-So nodes that stream take UDP alone. By UDP a reader that joins a running writer is told only by heartbeats that what is
-older than itself is not for it. In lockstep, where nothing is late, all take shared memory.
+Before its first message to a listener in shared memory Fast DDS checks whether the listener is alive, and may sleep a
+third of a second for the answer (`SharedMemGlobal::Port::healthy_check`): in `publish`, during a run, when a node
+joins. Therefore nodes that stream use UDP alone. With UDP a reader that joins a running writer learns only from
+heartbeats that it does not get the earlier samples. In lockstep, where delays do no harm, all nodes use shared memory.
 
-A node that joins finds those that run by their next announcement only: at Fast DDS's 3 s a stop would be as late.
+A node that joins discovers the running nodes with their next announcement. With Fast DDS's default of 3 s the first
+stop of a new sender would be that late, so the profiles set a shorter period.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from ament_index_python.packages import get_package_share_directory
 _PROFILES_FILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 CHOICES = (_PROFILES_FILE, "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
-"""Environment variables by which people choose transports themselves."""
+"""Environment variables by which users choose transports themselves."""
 
 _THIS_HOST = """<builtin>
 <metatrafficUnicastLocatorList><locator><udpv4/></locator></metatrafficUnicastLocatorList>
 <initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4></locator></initialPeersList>
 """
-"""What rmw_fastrtps 8.4 does for ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, where it adds shared memory by itself."""
+"""rmw_fastrtps 8.4's settings for ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, without the shared memory that it adds."""
 
 
 def _installed(name: str) -> Path:
@@ -36,7 +37,7 @@ def _installed(name: str) -> Path:
 
 
 def lockstep_environment() -> dict[str, str]:
-    """Variables for the processes of a run in lockstep; none where the environment has one of CHOICES."""
+    """Environment variables for the processes of a lockstep run; none if one of CHOICES is set."""
     if any(name in os.environ for name in CHOICES):
         return {}
     return {_PROFILES_FILE: str(_installed("shared_memory.xml"))}
@@ -44,9 +45,10 @@ def lockstep_environment() -> dict[str, str]:
 
 @contextlib.contextmanager
 def profile(streams: bool) -> Iterator[None]:
-    """Have the participant that this process makes meanwhile set up as a node's is that `streams`, or as another's.
+    """Set the DDS profile of the participant created within the block: of a node that `streams`, or of another one.
 
-    Not where the environment has one of CHOICES, nor for streams if static peers go with the discovery range LOCALHOST.
+    No profile is set if the environment has one of CHOICES, nor for a node that streams if ROS_STATIC_PEERS is set and
+    the discovery range is LOCALHOST.
     """
     reach = os.environ.get(_RANGE, "")
     local = streams and reach.upper() == "LOCALHOST"

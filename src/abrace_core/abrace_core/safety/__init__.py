@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits and faults: the guard that every command passes, checks of the samples that it answers, the table's stop."""
+"""Limits and faults: the guard of every command, the state machine of faults and stops, checks of samples."""

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from abrace_core.wire import Head
 
 RESPONSE_TIMEOUT = 0.1
-"""Seconds without a sample, of a rig that samples by the clock, that are a fault."""
+"""Seconds without a sample, of a rig that runs in real time, after which there is a fault."""
 
 DROP, HOLD, RESTART = -3, -2, -1
-"""What to do about a sample: nothing; answer with zero; restart with this sample."""
+"""Actions on a sample: ignore it; answer with zero; restart with this sample."""
 
 
 def _words(state: int) -> str:
@@ -28,18 +28,18 @@ def _words(state: int) -> str:
 
 
 class Answering:
-    """The samples that a node answers, and what it may send.
+    """Decides how a node answers each sample.
 
     Attributes
     ----------
     safety
-        Of what the node sends. It outlives every configuration.
+        The state machine of the node's commands. It is kept when the node is configured again.
     watch
-        Of the samples.
+        Checks of the samples.
     held
-        Why the rig lets nothing act; empty: it does, or nothing is known of it.
+        Why the rig keeps commands from acting; empty: they act, or no sample has come yet.
     cause
-        Of the rig's fault or stop; empty: none.
+        Cause of the rig's fault or stop; empty: none.
     """
 
     def __init__(self) -> None:
@@ -55,52 +55,52 @@ class Answering:
         longest_gap: int = LONGEST_GAP,
         moving: Callable[[], bool] | None = None,
     ) -> None:
-        """Be ready to answer.
+        """Prepare to answer.
 
         Parameters
         ----------
         outputs
-            What is sent.
+            The node's commands with their limits.
         sample_period
-            [s].
+            Sample period of the rig [s].
         longest_gap
-            More lost samples in a row than these are a fault, while something is sent that is not zero.
+            More lost samples in a row are a fault, while a command is not zero.
         moving
-            Whether something is; None: as the outputs have it.
+            Whether a command is not zero; None: taken from the outputs.
         """
         self.safety.configure(outputs, sample_period)
         self._moving = moving or (lambda: any(any(output.value) for output in outputs))
         self.watch = SampleWatch(sample_period, longest_gap)
 
     def activate(self) -> None:
-        """Begin with the next sample; an AbraceError says why that is refused."""
+        """Answer from the next sample on; an AbraceError gives the reason for a refusal."""
         self.safety.activate()
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """Take the next sample as the first one."""
+        """Treat the next sample as the first one."""
         self.watch.restart()
         self.held = ""
         self._heard = None
 
     def receive(self, stamp: int, head: Head, cause: str, now: float) -> int:
-        """What to do about a sample.
+        """Decide how to answer a sample.
 
         Parameters
         ----------
         stamp
             Its sampling instant [ns].
         head
-            The rig's state and flags in it.
+            Its run, number, and the rig's state and flags.
         cause
-            Of the rig's fault or stop.
+            Cause of the rig's fault or stop.
         now
-            On the monotonic clock [s].
+            Monotonic time [s].
 
         Returns
         -------
         int
-            DROP, HOLD or RESTART, or the number of samples lost just before it: then answer it.
+            DROP, HOLD or RESTART; otherwise the number of samples lost just before it, and the node answers it.
         """
         lost = self.watch.update(head.run, head.sequence, stamp)
         if lost == OLD:
@@ -122,11 +122,11 @@ class Answering:
         return RESTART
 
     def silent(self, now: float) -> bool:
-        """Whether no sample has come for RESPONSE_TIMEOUT, `now` being as for `receive`."""
+        """Whether no sample has come for RESPONSE_TIMEOUT; `now` as for `receive`."""
         return now - self._last > RESPONSE_TIMEOUT
 
     def look_for_silence(self, now: float) -> None:
-        """It is a fault if a rig that sampled in real time has stopped publishing; `now` as for `receive`."""
+        """Report a fault if a rig that runs in real time has stopped publishing; `now` as for `receive`."""
         if self._heard is not None and now - self._heard > RESPONSE_TIMEOUT:
             self._heard = None
             self.safety.fault(f"no response for more than {RESPONSE_TIMEOUT:g} s")

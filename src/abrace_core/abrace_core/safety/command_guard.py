@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The limits that every force command passes before it acts: finite, within capacity and rate limit.
+"""The limits of every force command before it acts: finite, within capacity and rate limit.
 
-A command within the limits passes unchanged, bit for bit, as identification needs it. While ramping down the force goes
-to zero along a half cosine within the ramp time.
+A command within the limits passes unchanged, bit for bit, as identification requires. A ramp-down brings the force to
+zero along a half cosine within the ramp time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class CommandGuard:
-    """Guards the force commands of a rig's brace groups, sample by sample.
+    """Limits the force commands of a rig's brace groups, sample by sample.
 
     Parameters
     ----------
@@ -30,20 +30,20 @@ class CommandGuard:
     rate_limit
         (groups,) greatest rate of the force of one brace of each group [N/s].
     sample_period
-        Between two calls of `follow` or `come_to_rest` [s].
+        Time between two calls of `follow` or `come_to_rest` [s].
     ramp_time
-        To zero force [s]; long enough to get there from capacity within the rate limit.
+        Duration of the ramp to zero force [s]; long enough to ramp down from capacity within the rate limit.
 
     Attributes
     ----------
     value
-        (groups,) [N], the force that acts; zero before the first.
+        (groups,) [N], the force that acts; zero before the first command.
     saturated, rate_limited
         Whether the last command was limited to the capacity, and by the rate limit.
     saturations
-        Commands so far that were limited to capacity.
+        Number of commands so far that were limited to the capacity.
     rate_limits
-        Samples so far at which the rate limit held the force back from its command.
+        Number of samples so far at which the rate limit kept the force from reaching its command.
 
     Raises
     ------
@@ -80,7 +80,7 @@ class CommandGuard:
         self.reset()
 
     def reset(self) -> None:
-        """Force and command are zero."""
+        """Set force and command to zero."""
         self._command = [0.0] * len(self._capacity)
         self.value = self._command.copy()
         self._ramp_start = self.value
@@ -100,7 +100,7 @@ class CommandGuard:
         return f"command {given.tolist()}, expected finite numbers"
 
     def follow(self, command: Sequence[float] | None, share: float = 1.0) -> None:
-        """Take over a `share` of a `command` (groups,) [N] that has no problem; None: of the last one."""
+        """Apply a `share` of a `command` (groups,) [N] that has no `problem`; None: of the last command."""
         if command is not None:
             self._command = list(map(float, command))
         force, saturated, limited = self._command.copy(), False, False
@@ -118,7 +118,7 @@ class CommandGuard:
         self.rate_limits += limited
 
     def begin_to_rest(self) -> None:
-        """Begin the ramp to zero at the present force."""
+        """Begin the ramp from the present force to zero."""
         self._command = [0.0] * len(self._capacity)
         self._ramp_start, self._ramp_steps = self.value, 0
         self.saturated = self.rate_limited = False
@@ -129,7 +129,7 @@ class CommandGuard:
         return not any(self.value)
 
     def come_to_rest(self, samples: int = 1) -> None:
-        """Go so many `samples` further along the ramp, within the rate limit."""
+        """Advance the ramp by this number of `samples`, within the rate limit."""
         self._ramp_steps += samples
         over = self._ramp_steps > len(self._ramp)
         share = 0.0 if over else self._ramp[self._ramp_steps - 1]

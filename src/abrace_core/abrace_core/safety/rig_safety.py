@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state machine that decides what may act on a rig, common to table and braces, without ROS.
+"""The state machine that decides whether commands act on a rig, common to table and braces, without ROS.
 
-A rig, simulated or real, decides with it. Each node that commands the rig has one for what it sends, and learns the
-rig's state from every sample. `TRANSITIONS` alone defines the transitions, for every state and every event.
+Every rig, simulated or real, has one. Each node that commands the rig has another one for its own commands, and reads
+the rig's state from every sample. `TRANSITIONS` alone defines the transitions, for every state and every event.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 RAMP_TIME = 0.5
-"""Seconds in which forces go to zero, and in which they fade in after a fault was cleared."""
+"""Seconds in which forces ramp down to zero, and in which they fade in after a fault has been cleared."""
 
 
 class State(IntEnum):
@@ -34,7 +34,7 @@ class State(IntEnum):
 
     @property
     def words(self) -> str:
-        """For people."""
+        """The state's name in messages."""
         return self.name.lower().replace("_", " ")
 
 
@@ -65,7 +65,7 @@ _CLEARS = (Event.CLEAR_UNCONFIGURED, Event.CLEAR_INACTIVE, Event.CLEAR_ACTIVE)
 
 
 def _row(state: State, refused: Mapping[Event, str] | None = None, **leads: State) -> dict[Event, State | str]:
-    """The outcomes of all events in a `state`: `leads` to others, or `refused` with a reason; others change nothing."""
+    """The outcomes of all events in a `state`: next states (`leads`), reasons (`refused`); others change nothing."""
     row: dict[Event, State | str] = dict.fromkeys(Event, state)
     row.update({Event[name]: following for name, following in leads.items()})
     row.update(refused or {})
@@ -117,8 +117,7 @@ TRANSITIONS: Mapping[State, Mapping[Event, State | str]] = {
         AT_REST_FAULT=State.LATCHED,
         AT_REST_STOP=State.PROTECTIVE_STOP,
     ),
-    # the life cycle ends neither a fault nor a stop: all its transitions are allowed except those that would let
-    # something act
+    # life cycle transitions end neither a fault nor a stop: all are allowed except those after which commands would act
     State.LATCHED: _row(
         State.LATCHED,
         {Event.ACTIVATE: "a fault is latched, expected a person to clear it first"},
@@ -136,48 +135,48 @@ TRANSITIONS: Mapping[State, Mapping[Event, State | str]] = {
         RELEASE=State.LATCHED,
     ),
 }
-"""By state and event: the state that follows, or why the event is refused."""
+"""By state and event: the next state, or the reason why the event is refused."""
 
 
 class Output(Protocol):
-    """What acts on a rig, with its limits: the forces of the braces, or the acceleration of the table."""
+    """A command with its limits: the forces of the braces, or the acceleration of the table."""
 
     value: list[float]
-    """What acts from the last sample on."""
+    """The values that act from the last sample on."""
 
     @property
     def at_rest(self) -> bool:
-        """Whether it has come to rest."""
+        """Whether the output has come to rest."""
 
     def problem(self, command: Sequence[float]) -> str | None:
         """Why a command cannot act; None: it can."""
 
     def follow(self, command: Sequence[float] | None, share: float) -> None:
-        """Take over a `share` of the command within the limits; None: of the last one."""
+        """Apply a `share` of the command within the limits; None: of the last command."""
 
     def begin_to_rest(self) -> None:
-        """From the next sample on, come to rest."""
+        """Begin the ramp to rest; it advances from the next sample on."""
 
     def come_to_rest(self, samples: int) -> None:
-        """Advance the ramp to rest by so many samples."""
+        """Advance the ramp to rest by this number of samples."""
 
     def reset(self) -> None:
-        """Be at rest."""
+        """Set the output to rest at once."""
 
 
 class RigSafety:
-    """The state, and the only owner of what acts.
+    """The state machine, and the only owner of the outputs.
 
     Attributes
     ----------
     state
-        What may act.
+        The present state.
     cause
-        Of the first fault or stop since a person cleared the last one; empty: none.
+        Cause of the first fault or stop since a person cleared the last one; empty: none.
     pressed
         The senders that press a stop; empty: none.
     outputs
-        What acts: as given to `configure`.
+        The outputs given to `configure`.
     """
 
     def __init__(self) -> None:
@@ -198,11 +197,11 @@ class RigSafety:
 
     @property
     def at_rest(self) -> bool:
-        """Whether nothing acts and no ramp to rest is under way."""
+        """Whether no command acts and no ramp to rest is in progress."""
         return self.state not in (*ACTING, State.RAMPING_DOWN)
 
     def _take(self, event: Event) -> None:
-        """Take the transition of an event; an AbraceError says why it is refused."""
+        """Take the transition of an event; an AbraceError gives the reason for a refusal."""
         outcome = TRANSITIONS[self.state][event]
         if isinstance(outcome, str):
             raise AbraceError(f"{outcome}{f' ({self.cause})' if self.cause else ''}")
@@ -215,12 +214,12 @@ class RigSafety:
             self._faded = 0
 
     def configure(self, outputs: Sequence[Output], sample_period: float) -> None:
-        """Own these `outputs`, of a rig with this `sample_period` [s].
+        """Take over the `outputs` of a rig with this `sample_period` [s].
 
         Raises
         ------
         AbraceError
-            As `activate`, `deactivate` and `clean_up`: if the state does not allow it.
+            If the state does not allow it; so do `activate`, `deactivate` and `clean_up`.
         """
         self._take(Event.CONFIGURE)
         self._life = State.STANDBY
@@ -236,23 +235,23 @@ class RigSafety:
             output.reset()
 
     def deactivate(self) -> None:
-        """Come to rest; `at_rest` tells when it is done."""
+        """Begin to come to rest; `at_rest` is true when that is done."""
         self._take(Event.DEACTIVATE)
         self._life = State.STANDBY
 
     def clean_up(self) -> None:
-        """Own nothing; a fault stays latched."""
+        """Release the outputs; a fault stays latched."""
         self._take(Event.CLEAN_UP)
         self._life = State.UNCONFIGURED
         self.outputs = ()
 
     def fault(self, cause: str) -> None:
-        """A fault: all comes to rest and stays there until a person clears it; the first cause is kept."""
+        """Report a fault: all outputs come to rest until a person clears it; the first cause is kept."""
         self.cause = self.cause or cause
         self._take(Event.FAULT)
 
     def stop(self, who: str) -> None:
-        """A stop is pressed by the senders named in `who`; empty: the last one has been released."""
+        """Report that the senders named in `who` press a stop; empty: the last stop has been released."""
         if who:
             # the sender's name may become known after its message
             renamed = UNNAMED in self.pressed and self.cause == f"protective stop: {self.pressed}"
@@ -265,9 +264,9 @@ class RigSafety:
             self._take(Event.RELEASE)
 
     def clear(self, moving: str = "") -> str:
-        """A person clears the fault; what then may act fades in. Returns the cause that was cleared.
+        """Clear the fault, by a person's request; commands then fade in. Returns the cause that was cleared.
 
-        `moving` says which input is not at rest; empty: all are.
+        `moving` names the input that is not at rest; empty: all are at rest.
 
         Raises
         ------
@@ -289,12 +288,12 @@ class RigSafety:
         return cause
 
     def act(self, commands: Sequence[Sequence[float] | None], samples: int = 1) -> None:
-        """What acts from this sample on; once a sample.
+        """Apply the commands from this sample on; called once for each sample.
 
         Parameters
         ----------
         commands
-            For each output the new command; None: the last one holds. One that can't act is a fault.
+            The new command of each output; None: the last one holds. A command that cannot act is a fault.
         samples
             Sample periods since the last call.
         """
@@ -303,7 +302,7 @@ class RigSafety:
                 if command is not None and (problem := output.problem(command)):
                     self.fault(problem)
                     break
-        # a ramp or fade begins now, however long ago the last sample was
+        # a new ramp or fade advances by one sample, even if samples were lost before this one
         samples, self._entered = 1 if self._entered else samples, False
         if self.state is State.RUNNING:
             for output, command in zip(self.outputs, commands, strict=True):
@@ -321,7 +320,7 @@ class RigSafety:
             self._look_for_rest()
 
     def rest(self) -> None:
-        """All is at rest at once: something else keeps what it commands from acting."""
+        """Set all outputs to rest at once, because the commands do not act anyway: the rig has stopped or is silent."""
         for output in self.outputs:
             output.reset()
         self._look_for_rest()

@@ -12,9 +12,9 @@ NEW_RUN, OLD = -1, -2
 """What `SampleWatch.update` returns instead of a number of lost samples."""
 
 _RATE_SAMPLES, _RATE_TOLERANCE = 50, 0.3
-"""Samples over which the rate is checked, since a stamp is when the sample really was taken; and its greatest error."""
+"""Number of samples over which the rate is checked, since single stamps vary; and the greatest error of the rate."""
 _KEPT_RUNS = 1000
-"""Runs that are remembered as old."""
+"""Number of earlier runs that are remembered."""
 
 
 class SampleWatch:
@@ -23,18 +23,18 @@ class SampleWatch:
     Parameters
     ----------
     sample_period
-        Expected [s].
+        Expected sample period [s].
     longest_gap
-        Lost samples in a row that the node bridges.
+        Greatest number of lost samples in a row that is no fault.
 
     Attributes
     ----------
     run, sequence
-        Of the last sample that was not old; -1: none yet.
+        Run and number of the last sample that was not old; -1: none yet.
     missing
-        Samples that were lost, in all runs.
+        Number of lost samples, in all runs.
     old
-        Samples that were dropped: repeated, late, or of an earlier run.
+        Number of dropped samples: repeated, out of order, or of an earlier run.
     problem
         Why the last sample is a fault; None: it is not.
     """
@@ -96,5 +96,5 @@ class SampleWatch:
         return lost
 
     def restart(self) -> None:
-        """Take the next sample as the first one of a run, whichever run that is."""
+        """Treat the next sample as the first one of its run."""
         self.run = self.sequence = -1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The senders of a stop: stopped while any of them presses and, if heartbeats are required, while one is missing."""
+"""The senders of a stop. The rig is stopped while any of them presses or, if required, a heartbeat is missing."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class StopSenders:
     Parameters
     ----------
     heartbeat
-        Seconds within which each sender must repeat its message, and a sender must exist; 0: off.
+        Seconds within which each sender must repeat its message, and the first sender must appear; 0: off.
     now
         Present time [s].
     """
@@ -38,25 +38,25 @@ class StopSenders:
         self._began = now
 
     def hear(self, sender: Hashable, name: str, pressed: bool, now: float) -> None:
-        """Take a message at `now` [s] of a `sender` of this `name`: whether its button is `pressed`."""
+        """Note a message of a `sender`, with its `name`, at `now` [s]: whether the stop is `pressed`."""
         self._senders[sender] = _Sender(name, pressed, now)
 
     def name(self, sender: Hashable) -> str:
-        """Name of a sender that has sent a message; empty: it has not, or is UNNAMED."""
+        """Name of a sender; empty: it has sent no message yet, or is UNNAMED."""
         known = self._senders[sender].name if sender in self._senders else ""
         return "" if known == UNNAMED else known
 
     def rename(self, sender: Hashable, name: str) -> None:
-        """The `name` of a `sender` has become known after its first message."""
+        """Set the `name` of a `sender`, which has become known after its first message."""
         self._senders[sender].name = name
 
     @property
     def unnamed(self) -> tuple[Hashable, ...]:
-        """Those that ask for a stop and are UNNAMED."""
+        """The senders that ask for a stop and are UNNAMED."""
         return tuple(sender for sender, one in self._senders.items() if one.pressed and one.name == UNNAMED)
 
     def who(self, now: float) -> str:
-        """Who asks for a stop at `now` [s]; empty: nobody."""
+        """The senders that ask for a stop at `now` [s], as text; empty: none."""
         asking = [f"pressed by {one.name}" for one in self._senders.values() if one.pressed]
         if self._heartbeat:
             silent = [one.name for one in self._senders.values() if now - one.heard > self._heartbeat]
@@ -66,7 +66,7 @@ class StopSenders:
         return ", ".join(asking)
 
     def forget(self, gone: Iterable[Hashable], now: float) -> None:
-        """A person clears, at `now` [s]: senders that are `gone`, and can release nothing, do not count any more."""
+        """Forget the senders that are `gone` and cannot release their stop; a person clears the stop at `now` [s]."""
         for sender in gone:
             self._senders.pop(sender, None)
         self._began = now

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The limits that every acceleration of the shake table passes before it acts, and the stop that brings it to rest."""
+"""The limits of every acceleration of the shake table before it acts, and the stop that brings the table to rest."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ if TYPE_CHECKING:
 
 
 class TableGuard:
-    """Guards the acceleration of a shake table, sample by sample; within the limits it passes bit for bit.
+    """Limits the acceleration of a shake table, sample by sample; within the limits it passes bit for bit.
 
     Parameters
     ----------
     table
         Limits of the table.
     sample_period
-        Between two calls of `follow` or `come_to_rest` [s].
+        Time between two calls of `follow` or `come_to_rest` [s].
 
     Attributes
     ----------
     value
         (1,) [m/s^2], the acceleration that acts.
     state
-        Of the table, as commanded.
+        State of the table, as commanded.
     limited
         Whether the last acceleration was limited.
     limits
-        Samples so far at which it was.
+        Number of samples so far with a limited acceleration.
     """
 
     def __init__(self, table: Table, sample_period: float) -> None:
@@ -44,20 +44,20 @@ class TableGuard:
         self.reset()
 
     def reset(self) -> None:
-        """The table is at rest, where it is."""
+        """Set the table to rest, at its present displacement."""
         self.state = TableState(self._period, self.state.displacement)
         self.value = self._command = [0.0]
         self._stop: TableStop | None = None
         self.limited = False
 
     def problem(self, command: Sequence[float]) -> str | None:
-        """Why a `command` (1,), an acceleration [m/s^2], cannot act; None: it can."""
+        """Why a `command` (1,), an acceleration [m/s^2], cannot act; None: it can act."""
         if len(command) != 1 or not math.isfinite(command[0]):
             return f"ground acceleration {list(command)}, expected one finite number"
         return None
 
     def follow(self, command: Sequence[float] | None, share: float = 1.0) -> None:
-        """Take over a `share` of a `command` (1,) [m/s^2] that has no problem; None: of the last one."""
+        """Apply a `share` of a `command` (1,) [m/s^2] that has no `problem`; None: of the last command."""
         if command is not None:
             self._command = [float(command[0])]
         wanted, last = self._command[0] * share, self.value[0]
@@ -82,7 +82,7 @@ class TableGuard:
         return self._stop is None or self._stop.done
 
     def come_to_rest(self, samples: int = 1) -> None:
-        """Go so many `samples` further in the stop."""
+        """Advance the stop by this number of `samples`."""
         assert self._stop is not None
         for _ in range(samples):
             self._go(self._stop.next())

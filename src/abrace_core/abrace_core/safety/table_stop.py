@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A shake table's limits, its velocity and displacement sample by sample, and the stop that brings it to rest.
 
-The table's acceleration is linear between samples, as in the simulated rig: over a sample period T in which it goes
+The table's acceleration is linear between samples, as in the simulated rig: over a sample period T in which it changes
 from a to b, the velocity v changes by T (a + b) / 2 and the displacement by T v + T^2 (2 a + b) / 6.
 
-A stop is a half cosine from the acceleration that it begins with to zero, plus a raised cosine that takes the velocity
-out; the sum of both over the samples is exact for any number of them. It lasts 0.5 s unless a limit of the table asks
-for another time: longer where the velocity is high (at most 3.06 s), shorter where the stroke ends. Where no such stop
-keeps within all limits it is the one of the least time: down to the greatest deceleration A at the greatest jerk J,
-held, and back. That takes at most |v| / A + 2 (|a| + A) / J.
+A stop is a half cosine from the initial acceleration to zero, plus a raised cosine that brings the velocity to zero;
+the final velocity is exactly zero for any number of samples. A stop lasts 0.5 s unless a limit of the table requires
+another duration: longer at high velocity (at most 3.06 s), shorter near the end of the stroke. If no such stop keeps
+within all limits, the stop of least time is used: at the greatest jerk J to the greatest deceleration A, hold, and back
+to zero. It takes at most |v| / A + 2 (|a| + A) / J.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 RAMP_TIME = 0.5
-"""Seconds of a stop, where the table's limits allow."""
+"""Seconds of a stop, if the table's limits allow."""
 LONGEST = 3.06
-"""Seconds that a stop takes at most, unless even one of the least time takes longer."""
+"""Greatest duration of a stop [s], unless even the stop of least time takes longer."""
 MARGIN = 0.99
-"""Share of the table's limits that a stop uses, but for one of the least time."""
+"""Share of the table's limits that a stop uses; a stop of least time uses all."""
 
 _POWERS = sorted(range(-34, 20), key=abs)
 _TIMES = RAMP_TIME * 1.1 ** np.array(_POWERS, dtype=np.float64)
@@ -69,19 +69,19 @@ class Table:
 
 
 class TableState:
-    """Acceleration, velocity and displacement of a table, from the accelerations that it is given.
+    """Acceleration, velocity and displacement of a table, integrated from its commanded accelerations.
 
     Parameters
     ----------
     period
-        Between two samples [s].
+        Sample period [s].
     displacement
-        Where it rests at first [m].
+        Initial displacement, at rest [m].
 
     Attributes
     ----------
     acceleration, velocity, displacement
-        At the last sample [m/s^2, m/s, m].
+        Values at the last sample [m/s^2, m/s, m].
     """
 
     __slots__ = ("_period", "acceleration", "displacement", "velocity")
@@ -93,7 +93,7 @@ class TableState:
         self.displacement = displacement
 
     def update(self, acceleration: float) -> None:
-        """Go on to the next sample, at which the table has this `acceleration` [m/s^2]."""
+        """Advance to the next sample, at which the table has this `acceleration` [m/s^2]."""
         period, last = self._period, self.acceleration
         self.displacement += period * (self.velocity + period / 6 * (2 * last + acceleration))
         self.velocity += period / 2 * (last + acceleration)
@@ -106,20 +106,20 @@ class TableStop:
     Parameters
     ----------
     acceleration, velocity, displacement
-        Of the table at the last sample [m/s^2, m/s, m].
+        State of the table at the last sample [m/s^2, m/s, m].
     limits
-        Of the table. Acceleration and jerk are never exceeded by a stop that begins within them.
+        Limits of the table. A stop that begins within the limits of acceleration and jerk never exceeds them.
     period
-        Between two samples [s].
+        Sample period [s].
 
     Attributes
     ----------
     within_stroke
         Whether the table stays within its stroke; if not, no stop within its limits does.
     displacement
-        Where the table comes to rest [m].
+        Final displacement of the table [m].
     profile
-        The accelerations, in order [m/s^2]; the last is zero. None where the table rests already.
+        The accelerations, in order [m/s^2]; the last one is zero. Empty if the table is already at rest.
     """
 
     def __init__(self, acceleration: float, velocity: float, displacement: float, limits: Table, period: float) -> None:
@@ -155,7 +155,7 @@ class TableStop:
 
 
 def _gentle(acceleration: float, velocity: float, displacement: float, limits: Table, period: float) -> int:
-    """Samples of the smooth stop that keeps within the limits and is nearest to 0.5 s; 0: there is none."""
+    """Number of samples of the smooth stop within the limits that is nearest to 0.5 s; 0: there is none."""
     times = period * np.maximum(np.round(_TIMES / period), 2)[:, None]
     bump = -(2 * velocity / times + acceleration)
     accelerations = acceleration * _RISE + bump * _BUMP
@@ -179,7 +179,7 @@ def _gentle(acceleration: float, velocity: float, displacement: float, limits: T
 
 
 def _blend(acceleration: float, velocity: float, samples: int, period: float) -> NDArray[np.float64]:
-    """The smooth stop of so many samples."""
+    """The smooth stop with this number of samples."""
     share = np.arange(1, samples + 1) / samples
     bump = -(2 * velocity / (samples * period) + acceleration)
     profile = acceleration * (1 + np.cos(np.pi * share)) / 2 + bump * (1 - np.cos(2 * np.pi * share)) / 2
@@ -188,13 +188,13 @@ def _blend(acceleration: float, velocity: float, samples: int, period: float) ->
 
 
 def _least_time(acceleration: float, velocity: float, limits: Table, period: float) -> NDArray[np.float64]:
-    """The stop of the least time: a ramp to the greatest deceleration that is needed, held, and a ramp to zero.
+    """The stop of least time: a ramp to the greatest deceleration that is needed, a hold, and a ramp to zero.
 
-    The least time would have its corners between samples: each part gets whole samples, and the deceleration that
-    then takes the velocity out exactly.
+    The corners of the ideal profile lie between samples. Each part is rounded up to whole samples, and the deceleration
+    is chosen so that the final velocity is exactly zero.
     """
     most, jerk = limits.peak_acceleration, limits.peak_jerk
-    # by the sign of the velocity that is left if the acceleration is taken back at once
+    # the sign of the velocity that would remain if the acceleration were ramped to zero at once
     sign = math.copysign(1.0, velocity + acceleration * abs(acceleration) / (2 * jerk))
     now, left = sign * acceleration, sign * velocity
     peak = min(most, math.sqrt(max(jerk * left + now**2 / 2, 0.0)))
