@@ -164,10 +164,10 @@ def test_the_ends_of_the_range_are_those_where_a_measurement_clips():
     assert over_range.counts.tolist() == [3, 4]
 
 
-def test_a_rig_with_more_channels_than_bits_counts_them_all():
+def test_a_rig_with_more_channels_than_a_message_has_bits_is_watched_and_counted_in_all():
     sensors = [Sensor(range=1.0, noise=0.0, bits=8)] * 70
     over_range = OverRange(sensors)
-    assert over_range.check(np.full(70, 1.0)) == 2**64 - 1
+    assert over_range.check(np.full(70, 1.0)) == 2**70 - 1
     assert over_range.counts.sum() == 70
 
 

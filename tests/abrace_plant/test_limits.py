@@ -14,7 +14,7 @@ from abrace_plant.rig.limits import TIMES, UNITS
 from abrace_plant.rig.model import Interlock
 
 CONFIGURATIONS = Path(__file__).parents[2] / "src/abrace_plant/config"
-RIGS = ("ncree_three_storey", "ncree_as_a_rig", "five_storey", "ten_storey", "single_storey")
+RIGS = ("ncree_three_storey", "ncree_as_a_rig", "five_storey", "ten_storey", "single_storey", "sac_la_20")
 
 
 def content(name: str = "ncree_three_storey") -> dict[str, Any]:

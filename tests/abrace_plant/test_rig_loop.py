@@ -301,3 +301,17 @@ def test_after_a_delay_the_force_makes_no_step_beyond_the_rate_limit(rig, bench,
     assert before - after <= step * (1 + 1e-12)
     if not ramped:
         assert before - after < 20.0, "the ramp begins when the delay is noticed, not before"
+
+
+def test_a_channel_beyond_the_bits_of_a_message_stops_the_rig_at_the_end_of_its_range():
+    rig = load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/sac_la_20.yaml")
+    safety = RigSafety()
+    safety.configure(rig_outputs(rig), 1 / rig.sample_rate)
+    safety.activate()
+    loop = RigLoop(rig, None, safety, TIMEOUT, LATE_LIMIT, RUN, lockstep=True)
+    values = np.zeros(len(rig.channel_names))
+    values[85] = rig.channel_sensors[85].highest
+    samples = [loop.take(Reading(values, 10_000_000 * k, 1 << 70, 0)) for k in range(3)]
+    assert "f6: at the end of its range" in samples[-1].cause
+    assert loop.clipped["w"] == loop.clipped["f6"] == 3
+    assert [sample.head.clipped for sample in samples] == [0, 0, 0]

@@ -11,5 +11,5 @@ from abrace_bringup.graphs import CLOSED_LOOP, closed_loop
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The nodes of the test, with the supervisor that begins and ends it."""
+    """The nodes of the test, with the supervisor that starts and ends it."""
     return describe(__file__, CLOSED_LOOP, closed_loop)

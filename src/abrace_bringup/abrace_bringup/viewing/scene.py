@@ -69,7 +69,7 @@ class Scene:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._levels = [level * rig.storey_height for level in range(rig.floors + 1)]
+        self._levels = [0.0, *rig.storey_heights.cumsum().tolist()]
         self._joints = joint_names(rig)
 
     def frames(self, sway: Mapping[str, float], exaggeration: float, time: int) -> FrameTransforms:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
 
 COMMAND, GROUND = "brace_command", "ground_motion"
+MESSAGE_BITS = 2**64 - 1
+"""Channels of which a message says whether they are at the end of their range: the first 64. Interlocks watch all."""
 
 
 class Sample(NamedTuple):
@@ -277,7 +279,7 @@ class RigLoop:
         if self.ending and safety.at_rest and not any(self._until_now):
             flags |= LAST
             self.ended = True
-        head = Head(self.sequence, self.run, clipped, flags, safety.state)
+        head = Head(self.sequence, self.run, clipped & MESSAGE_BITS, flags, safety.state)
         return Sample(reading.stamp, head, safety.cause, reading.values.tolist(), self._until_now)
 
     def step(self) -> Sample:

@@ -43,6 +43,9 @@ class Characterize(AbraceNode):
             for title, pairs in (("bare frame", found.bare), ("zero command", found.zero_command), ("", found.extra)):
                 for frequency, ratio in pairs:
                     print(f"{title or 'further pair':14s} {frequency:9.4f} rad/s  {100 * ratio:7.4f} %")
+            if errors := rig.building.frequency_errors:
+                listed = ", ".join(f"{100 * error:.2g}" for error in errors)
+                print(f"frame condensed to its levels: frequencies off by {listed} % of the whole frame's")
             print(f"first mode: {', '.join(f'{value:.3f}' for value in found.shape)}")
             for number, brace in enumerate(found.braces, 1):
                 print(

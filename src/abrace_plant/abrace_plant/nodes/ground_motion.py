@@ -116,6 +116,12 @@ class GroundMotion(Commander):
         self.server.destroy()
         self.playback, self.goal = None, None
 
+    def destroy_node(self) -> None:
+        """Destroy the node, with its action server."""
+        if self.configured:
+            self.server.destroy()
+        super().destroy_node()
+
     def cancel(self) -> None:
         """Bring the table to rest, if a motion plays."""
         if self.playback is not None:

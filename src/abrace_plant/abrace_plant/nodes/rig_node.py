@@ -78,6 +78,11 @@ class RigNode(AbraceLifecycleNode):
         self.create_timer(STOP_PERIOD, self.look_for_stops, clock=RosClock(clock_type=ClockType.STEADY_TIME))
         self.keep_endpoints()
 
+    def destroy_node(self) -> None:
+        """Destroy the node, with its subscriptions to the stop buttons."""
+        self.stops.close()
+        super().destroy_node()
+
     def make_device(self) -> Device:
         """The device of this run; subclasses make it. An AbraceError refuses the activation."""
         raise NotImplementedError

@@ -157,7 +157,9 @@ def comparison(found: Characteristics) -> list[tuple[str, str, float, float]]:
 
 
 def as_json(found: Characteristics, rig: Rig) -> dict[str, Any]:
-    """The content of characteristics.json: SI units, None where there is none; for the paper's rig the comparison.
+    """The content of characteristics.json: SI units, None where there is none.
+
+    A frame condensed to its levels has the errors of its frequencies, the paper's rig the comparison.
 
     Parameters
     ----------
@@ -169,6 +171,8 @@ def as_json(found: Characteristics, rig: Rig) -> dict[str, Any]:
     content: dict[str, Any] = {"rig": rig.name, **asdict(found)}
     for brace in content["braces"]:
         brace["antiresonances"] = [value if np.isfinite(value) else None for value in brace["antiresonances"]]
+    if rig.building.frequency_errors:
+        content["frequency_errors"] = rig.building.frequency_errors
     if rig.name == published.RIG:
         content["comparison"] = [
             {"quantity": quantity, "unit": unit, "found": ours, "paper": paper}

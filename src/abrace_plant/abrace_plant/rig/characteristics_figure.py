@@ -84,7 +84,7 @@ def _poles(axis: Axes, rig: Rig, found: Characteristics) -> None:
 
 
 def _first_mode(axis: Axes, rig: Rig, found: Characteristics) -> None:
-    height = rig.storey_height * np.arange(rig.floors + 1)
+    height = np.cumsum([0.0, *rig.storey_heights])
     axis.plot([0.0, *found.shape], height, "o-", color=MEASURED, label="rig")
     if rig.name == published.RIG:
         axis.plot([0.0, *published.SHAPE], height, "s--", color=REFERENCE, mfc="none", label="paper: rms of Table 1")

@@ -13,7 +13,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.safety.table_stop import Table
 from abrace_plant.rig.actuator import Actuator
 from abrace_plant.rig.building import Building
-from abrace_plant.rig.building_file import BuildingContent, read_building
+from abrace_plant.rig.building_file import BuildingContent, frame_file, read_building
 from abrace_plant.rig.checks import DampingRatio, NotNegative, Positive, Real, expect, expect_one_each
 from abrace_plant.rig.detectors import detectors, sensor_noise
 from abrace_plant.rig.limits import check_limits
@@ -154,8 +154,20 @@ def load_rig(path: Path | str) -> Rig:
         raise AbraceError(f"rig file {path}: {error}") from error
 
 
+def frame_of(path: Path | str) -> Path | None:
+    """The frame file that a rig file names.
+
+    Raises
+    ------
+    AbraceError
+        If it is no rig file, or there is no such frame file.
+    """
+    named = read_config(path, _Rig, "rig").building.frame
+    return None if named is None else frame_file(named)
+
+
 def _rig(content: _Rig) -> Rig:
-    building, stated_stiffness, stated_damping = read_building(content.building)
+    building, storey_height, stated_stiffness, stated_damping = read_building(content.building)
     floors, groups = building.floors, len(content.braces)
     for i, group in enumerate(content.braces):
         expect(group.floor <= floors, f"braces.{i}.floor", group.floor, f"a floor from 1 to {floors}")
@@ -186,7 +198,7 @@ def _rig(content: _Rig) -> Rig:
             for mode in content.local_modes
         ),
         sensors=_sensors(content.sensors),
-        storey_height=content.building.storey_height,
+        storey_height=storey_height,
         interlocks={
             name: Interlock(**{"value": 0.0} | dict(given)) for name, given in content.interlocks if given is not None
         },

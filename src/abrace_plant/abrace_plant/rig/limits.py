@@ -143,7 +143,7 @@ def _values(rig: Rig) -> dict[str, float]:
     displacement = 0.9 * sensors.displacement.range
     given = rig.interlocks.get("displacement")
     return {
-        "drift": min(YIELD_DRIFT * rig.storey_height, displacement),
+        "drift": min(YIELD_DRIFT * float(rig.storey_heights.min()), displacement),
         "displacement": displacement,
         # the first mode's velocity at the greatest displacement, plus a quarter for the other modes
         "velocity": 1.25 * float(frequencies(rig)[0]) * (given.value if given else displacement),

@@ -136,7 +136,7 @@ class Rig:
     sensors
         Those that measure the outputs.
     storey_height
-        m, for drawing and for the limit of the drift.
+        m, the mean where storeys differ.
     interlocks
         Limits by name; those that are left out follow from the other numbers, see `limits.limit_table`.
     table_dynamics
@@ -167,6 +167,11 @@ class Rig:
     def groups(self) -> int:
         """Number of brace groups."""
         return len(self.braces)
+
+    @property
+    def storey_heights(self) -> NDArray[np.float64]:
+        """(floors,) [m], the lowest first."""
+        return np.array(self.building.heights or [self.storey_height] * self.floors)
 
     @cached_property
     def braces_in_group(self) -> tuple[int, ...]:

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from abrace_plant.rig.sensors import Sensor
 
 TRUE = b"\1"
-BITS = 64
-"""Channels that a message has bits for; those of larger rigs are counted alone."""
 
 
 class OverRange:
@@ -48,4 +46,4 @@ class OverRange:
         if TRUE not in self._above.tobytes():  # quicker than any() by half a microsecond
             return 0
         self.counts += self._above
-        return sum(1 << i for i in np.flatnonzero(self._above[:BITS]).tolist())
+        return sum(1 << i for i in np.flatnonzero(self._above).tolist())

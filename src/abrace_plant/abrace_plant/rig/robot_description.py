@@ -60,7 +60,7 @@ def urdf(rig: Rig) -> str:
         joint = ElementTree.SubElement(robot, "joint", name=name, type="prismatic")
         ElementTree.SubElement(joint, "parent", link="table")
         ElementTree.SubElement(joint, "child", link=f"{name}_link")
-        ElementTree.SubElement(joint, "origin", xyz=f"0 0 {(i + 1) * rig.storey_height:g}")
+        ElementTree.SubElement(joint, "origin", xyz=f"0 0 {rig.storey_heights[: i + 1].sum():g}")
         ElementTree.SubElement(joint, "axis", xyz="1 0 0")
         ElementTree.SubElement(joint, "limit", limit)
     ElementTree.indent(robot)
