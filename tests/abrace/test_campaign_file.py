@@ -15,9 +15,12 @@ from abrace.campaign.drives import (
     WhiteNoise,
 )
 from abrace.campaign.file import RigSetup, load_campaign
+from abrace.campaign.inputs import Inputs
+from abrace.campaign.laboratory import Laboratories
 from abrace.campaign.tasks import Ambient, Design, Identify, RigTest, Validate
 from abrace.cli import main
 from abrace_core.errors import AbraceError
+from abrace_core.installed import find_file
 
 DEMO = Path(__file__).parents[2] / "src" / "abrace" / "campaigns" / "demo.yaml"
 
@@ -329,14 +332,11 @@ def of_five_storeys(tmp_path: Path, old: str, new: str) -> Path:
     return path
 
 
-def test_the_campaigns_of_several_brace_groups_are_accepted_with_the_bands_of_their_tests():
+def test_the_campaigns_of_several_brace_groups_are_accepted():
     for name, rig in (("five_storeys", "five_storey"), ("ten_storeys", "ten_storey")):
         campaign = load_campaign(DEMO.with_name(f"{name}.yaml"))
         assert campaign.setup.file == rig
         CheckedCampaign(campaign)
-        tasks = {step.name: step.task for step in campaign.steps}
-        assert tasks["model"].band_of("table", [tasks["table_noise"]]) == (0.3, 25.0)
-        assert tasks["model"].band_of("command", [tasks["command_noise"]]) == (0.3, 30.0)
 
 
 def test_every_parameter_of_identify_can_stand_in_a_campaign(tmp_path: Path):
@@ -344,6 +344,13 @@ def test_every_parameter_of_identify_can_stand_in_a_campaign(tmp_path: Path):
     path = of_five_storeys(tmp_path, "table: table_noise, command: command_noise", given)
     task = {step.name: step.task for step in load_campaign(path).steps}["model"]
     assert task.options == {"command_order": 14, "table_band": [0.5, 20.0], "mat": True}
+
+
+SLOW_TEST = """  - name: slow
+    test: {duration: 300.0, ground_motion: {record: white_noise, rms: 0.001, band: [0.05, 0.08], seed: 3}}
+  - name: two_tests
+    identify: {table: [table_noise, slow], command: command_noise}
+  - name: model """
 
 
 @pytest.mark.parametrize(
@@ -361,6 +368,7 @@ def test_every_parameter_of_identify_can_stand_in_a_campaign(tmp_path: Path):
             "within the 0.1 to 25 Hz of",
         ),
         ("duration: 300.0", "duration: 40.0", "table_noise has 40 s, expected 60 s at least"),
+        ("  - name: model ", SLOW_TEST, r"identify\.table: the bands of table_noise, slow do not overlap"),
     ],
 )
 def test_what_a_rig_cannot_do_is_refused_before_its_tests(tmp_path: Path, old: str, new: str, message: str):
@@ -373,3 +381,17 @@ def test_weights_of_floors_that_a_rig_has_not_are_refused_before_its_tests(tmp_p
     path.write_text(DEMO.read_text().replace("rig: ncree_three_storey", "rig: single_storey"))
     with pytest.raises(AbraceError, match=r"step lqg3: design\.weights: weights: measured: a2, a3, expected some of"):
         CheckedCampaign(load_campaign(path))
+
+
+def test_a_test_is_made_from_the_frame_file_that_its_rig_names(tmp_path):
+    frame, rig, path = (tmp_path / f"{name}.yaml" for name in ("frame", "rig", "campaign"))
+    frame.write_text(find_file("sac_la_20", "abrace_plant", "config/frames", ".yaml", "frame").read_text())
+    own = find_file("sac_la_20", "abrace_plant", "config", ".yaml", "rig").read_text()
+    rig.write_text(own.replace("frame: sac_la_20", f"frame: {frame}"))
+    path.write_text("name: own\nrig: rig.yaml\nsteps: [{name: rest, test: {duration: 5}}]")
+    campaign = load_campaign(path)
+    inputs = Inputs(campaign, Laboratories(campaign))
+    before = inputs.of(0, {})
+    frame.write_text(frame.read_text() + "# changed\n")
+    after = inputs.of(0, {})
+    assert [name for name in before if before[name] != after[name]] == [f"file {frame}"]

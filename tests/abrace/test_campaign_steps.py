@@ -128,7 +128,7 @@ def test_steps_are_made_for_every_combination_with_names_that_one_can_tell_befor
     )
     assert read.steps[4].task == Compare(test="strong_2", uncontrolled="free_strong")
     assert mistakes(tmp_path, matrix) == [
-        "step 1: matrix.law: ['own/a.yaml'], expected names, numbers, or `name: value` for what is neither"
+        "step 1: matrix.law: ['own/a.yaml'], expected names or numbers, or `name: value` for other values"
     ]
 
 
@@ -180,11 +180,11 @@ def test_all_mistakes_of_a_file_are_told_at_once_each_with_its_step_and_key(tmp_
     [
         (
             ("{name: a, test: {duration: 9.0, device: emulator, emulator: true}}",),
-            "step a: test.lockstep: true, expected false with a device: hardware has a tick of its own",
+            "step a: test.lockstep: true, expected false with a device: hardware has its own sample clock",
         ),
         (
             ("{name: a, test: {duration: 9.0, lockstep: false, rig: {run: rig.py, file: x}, sensor_seed: 1}}",),
-            "step a: test.sensor_seed, expected none but with the simulated rig",
+            "step a: test.sensor_seed, expected only with the simulated rig",
         ),
         (
             (

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A campaign file to the bags, models, controllers and comparisons of its steps."""
+"""Campaigns: reading and checking the file, and running its steps to bags, models, controllers and comparisons."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A campaign checked whole before anything moves: every file, every name, every limit."""
+"""The check of a whole campaign before anything moves: every file, every name, every limit."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 
 class CheckedCampaign:
-    """A campaign of which nothing is wrong that can be found before the first test.
+    """A campaign that has passed every check that is possible before the first test.
 
     Parameters
     ----------
     campaign
-        As its file has it.
+        The content of its file.
 
     Raises
     ------
@@ -45,7 +45,7 @@ class CheckedCampaign:
             refuse([f"campaign file {campaign.path}: {problem}" for problem in found])
 
     def _wrong_rigs(self) -> list[str]:
-        """Rigs, devices and the user's rig nodes that are not there; nothing else can be checked without."""
+        """Mistakes in rigs, devices and the user's rig nodes; nothing else can be checked without these."""
         found: dict[str, None] = {}
         rates: dict[float, None] = {}
         for test in (None, *self.campaign.tests.values()):

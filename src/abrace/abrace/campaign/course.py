@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The course of a campaign: checked first, then step after step that is not whole yet, the report, and the swap.
+"""The course of a campaign: the check, each step that is not complete yet, the report, and the swap of the results.
 
-Bags go to `bags/NAME/TIME/STEP`, never over an earlier one; results grow in `results/_unfinished/NAME` and take the
-place of `results/NAME` when they are whole.
+Bags are written to `bags/NAME/TIME/STEP`, never over an earlier one. Results are written to `results/_unfinished/NAME`,
+which replaces `results/NAME` when it is complete.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 class Outcome(NamedTuple):
-    """What a campaign has come to: the folder of its results, its tables, and why tests are not to be trusted."""
+    """The outcome of a campaign: the folder of its results, its tables, and reasons not to trust tests."""
 
     results: Path
     tables: str
@@ -49,7 +49,7 @@ class Outcome(NamedTuple):
 
 
 class _Course:
-    """A campaign from its first step that is not whole to its last; `start`: as for `run_campaign`."""
+    """Runs a campaign from its first step that is not complete; `start`: as for `run_campaign`."""
 
     def __init__(self, runner: Runner, folders: Folders, start: str | None) -> None:
         self._runner, self._folders = runner, folders
@@ -64,7 +64,7 @@ class _Course:
             self._begin_from(start)
 
     def _begin_from(self, start: str) -> None:
-        """Take what is before the step `start` from the run that was interrupted, or from the last results."""
+        """Take the steps before `start` from the interrupted run, or from the last results."""
         if start not in self._names:
             raise AbraceError(f"--from {start}: no such step, expected {' or '.join(self._names)}")
         earlier = self._names[: self._names.index(start)]
@@ -80,7 +80,7 @@ class _Course:
         self._done.keep(earlier)
 
     def _missing(self, done: DoneSteps, names: list[str]) -> str:
-        """Which of the first steps, with these `names`, is not whole, and why; empty: all are."""
+        """The first of the steps with these `names` that is not complete, and the reason; empty: all are complete."""
         for number, name in enumerate(names):
             if changed := done.changed(name, self._inputs_of(number, done)):
                 return f"step {name}: {changed}"
@@ -90,7 +90,7 @@ class _Course:
         return self._inputs.of(number, {name: one.made for name, one in done.steps.items()})
 
     def run(self) -> Outcome:
-        """Run every step that is not whole, report, and swap the results in."""
+        """Run every step that is not complete, write the report, and replace the last results."""
         self._runner.done = self._done
         write_origin(self._folders.unfinished, self._campaign.path)
         with self._display() as progress:
@@ -104,7 +104,7 @@ class _Course:
 
     @contextlib.contextmanager
     def _display(self) -> Iterator[Progress | Display]:
-        """What shows how far the campaign is: live on a terminal, plain lines elsewhere."""
+        """The display of progress: live on a terminal, plain lines elsewhere."""
         if not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
             yield Progress(len(self._names))
             return
@@ -147,7 +147,7 @@ class _Course:
         self._write_timing()
 
     def _write_timing(self, failed: dict[str, str] | None = None) -> None:
-        """Write timing.json: what is done, and which step failed and why, where one did."""
+        """Write timing.json: the steps that are done, and the one that `failed` with its cause."""
         timing: dict[str, Any] = {
             "lockstep": self._campaign.lockstep,
             "sample_rate": self._runner.laboratories.of().rig.sample_rate,
@@ -158,9 +158,9 @@ class _Course:
         write_text(self._folders.unfinished / "timing.json", json.dumps(timing, indent=1))
 
     def _leave(self, step: str, error: BaseException) -> None:
-        """Tell where the results are of a campaign that this step ends; report what there is of one that failed."""
+        """Print where the results of an interrupted or failed campaign are; if it failed, report the steps done."""
         if isinstance(error, RunFailed):
-            with contextlib.suppress(AbraceError):  # the one that is told is the first
+            with contextlib.suppress(AbraceError):  # the first error is the one that is reported
                 self._write_timing({"step": step, "cause": str(error)})
                 make_report(self._folders.unfinished)
         count = f"{len(self._done.steps)} of {len(self._names)} steps are whole"
@@ -169,21 +169,21 @@ class _Course:
 
 
 def run_campaign(path: Path, start: str | None = None) -> Outcome:
-    """Run the steps of a campaign file that are not whole after an interruption, report, and swap the results in.
+    """Run the steps of a campaign file that are not complete, write the report, and replace the last results.
 
     Parameters
     ----------
     path
-        Of the file.
+        The campaign file.
     start
-        Name of a step: it and those after it are run anew.
+        Name of a step: it and those after it are run again.
 
     Raises
     ------
     AbraceError
-        If the file is wrong, a ground motion is more than the table has, or a step before `start` is not whole.
+        If the file is wrong, a ground motion exceeds the table's limits, or a step before `start` is not complete.
     RunFailed
-        If a node dies or refuses, a fault comes, or a step fails.
+        If a node dies or refuses a transition, a fault occurs, or a step fails.
     """
     plan = check_campaign(path)
     for care in plan.cares:

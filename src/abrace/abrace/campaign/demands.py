@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tests of a campaign ask of rig, table, braces, sensors and controllers, looked at before the first one."""
+"""Checks, before the first test, of what tests demand from rig, table, braces, sensors and controllers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from abrace_core.controller_file import Controller
 
 LEAST_EXCITATION = 2.0
-"""Seconds of an excitation by noise, at least: it rises and falls within one each."""
+"""Least duration of an excitation by noise [s]: it fades in and out within 1 s each."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class _Made:
 
 
 class Signals:
-    """What drives the tests of a campaign, each signal made once."""
+    """The ground motions and excitations of a campaign's tests, each computed once."""
 
     def __init__(self) -> None:
         self._made: list[_Made] = []
@@ -52,11 +52,11 @@ class Signals:
         Parameters
         ----------
         motion
-            Of a test.
+            The test's ground motion.
         duration
-            Of the test [s].
+            Duration of the test [s].
         laboratory
-            Of the test.
+            The test's laboratory.
 
         Raises
         ------
@@ -103,7 +103,7 @@ def wrong_test(test: RigTest, laboratory: Laboratory, lockstep: bool, signals: S
     lockstep
         Whether it runs in lockstep.
     signals
-        Those that were made already.
+        The signals computed so far.
     """
     if lockstep and not (test.ground_motion or test.excitation or test.controller):
         yield "a lockstep test without any input, expected ground motion or commands"
@@ -148,21 +148,21 @@ def _find_controller(test: RigTest, laboratory: Laboratory) -> None:
 
 
 def check_controller(controller: Controller, laboratory: Laboratory, source: str) -> None:
-    """Refuse a controller of another rig.
+    """Refuse a controller that does not fit the rig.
 
     Parameters
     ----------
     controller
-        What a file holds.
+        The content of its file.
     laboratory
-        Whose rig it is to control.
+        The laboratory with the rig.
     source
         The file, for the message.
 
     Raises
     ------
     AbraceError
-        Naming what the rig has not.
+        If the controller's measurements, commands or sample rate are not the rig's.
     """
     rig, law = laboratory.rig, controller.law
     unknown = [name for name in law.inputs if name not in rig.model.outputs]

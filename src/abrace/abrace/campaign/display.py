@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live display of a campaign on a terminal: the step, time left, peaks, force against capacity, state of each node.
 
-Where there is no terminal `abrace_core.progress` writes plain lines; both have the same methods.
+Without a terminal `abrace_core.progress` prints plain lines; both have the same methods.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ if TYPE_CHECKING:
     from abrace.report.node_table import NodeReport
 
 REFRESH = 4.0
-"""Drawings a second."""
+"""Updates of the display per second [Hz]."""
 PEAKS = {
     "drift": ("drift", 100.0, "cm"),
     "displacement": ("displacement", 100.0, "cm"),
     "acceleration": ("acceleration", 1.0, "m/s^2"),
     "table_displacement": ("table", 100.0, "cm"),
 }
-"""By entry of the rig's diagnostics: what it is called here, the factor from SI units, the unit."""
+"""By entry of the rig's diagnostics: label, factor from SI units, unit."""
 
 
 class Graph(NamedTuple):
-    """What the nodes of a test have reported.
+    """The reports of a test's nodes.
 
     Parameters
     ----------
     reports
-        By node.
+        Report of each node.
     peaks
         Greatest values so far by quantity, in SI units.
     capacity
-        Of the braces [N].
+        Least capacity of the brace groups [N].
     """
 
     reports: Mapping[str, NodeReport]
@@ -59,18 +59,18 @@ def peaks_of(values: Mapping[str, str]) -> dict[str, float]:
 
 
 class Display:
-    """Shows how far a campaign is, redrawn in place; a context manager.
+    """Shows the progress of a campaign, redrawn in place; a context manager.
 
     Parameters
     ----------
     name
-        Of the campaign.
+        Name of the campaign.
     steps
         Number of its steps.
     console
         The terminal; standard error by default.
     clock
-        Gives seconds.
+        Function that returns the time [s].
     """
 
     def __init__(
@@ -92,13 +92,13 @@ class Display:
         self._live.stop()
 
     def kept(self, name: str) -> None:
-        """Say that a step called `name` was done before, and is whole."""
+        """Print that the step `name` was completed in an earlier run, and is kept."""
         self._number += 1
         self._print(f"[{self._number}/{self._steps}] {name}: whole, kept")
 
     @contextlib.contextmanager
     def step(self, name: str) -> Iterator[DisplayedStep]:
-        """Show a step called `name` while the block runs, and at its end whether it was done, stopped or failed."""
+        """Show the step `name` while the block runs, and at its end whether it is done, was stopped or failed."""
         self._number += 1
         step = self._step = DisplayedStep(f"[{self._number}/{self._steps}] {name}", self._clock)
         outcome = "stopped after"
@@ -113,12 +113,12 @@ class Display:
             self._print(f"{step.title}: {outcome} {clock_time(step.elapsed)}{step.rate and f', {step.rate}'}")
 
     def see(self, graph: Graph) -> None:
-        """Show what the nodes of the test have reported, the `graph`; may be called at any rate."""
+        """Show the reports of the test's nodes, `graph`; may be called at any rate."""
         if self._step is not None:
             self._step.graph = graph
 
     def drawing(self) -> RenderableType:
-        """What is on the terminal now."""
+        """The present content of the terminal."""
         step = self._step
         return Text(self._name) if step is None else Group(*step.lines(self._name))
 
@@ -134,7 +134,7 @@ class DisplayedStep:
     title
         Its number and name.
     clock
-        Gives seconds.
+        Function that returns the time [s].
     """
 
     def __init__(self, title: str, clock: Callable[[], float]) -> None:
@@ -158,7 +158,7 @@ class DisplayedStep:
             self._first = self._first or self._last
 
     def lines(self, name: str) -> list[RenderableType]:
-        """What is drawn of it, of the campaign `name`."""
+        """The lines to draw for this step of the campaign `name`."""
         head = Table.grid(padding=(0, 2))
         fraction = self._last[1]
         cells: list[RenderableType] = [Text(name, style="bold"), Text(self.title)]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which steps of a campaign are whole: steps.json, with the checksums of what each was made from and of what it wrote.
+"""The completed steps of a campaign: steps.json, with the checksums of each step's inputs and outputs.
 
-A step is whole while its inputs are as they were (its text, the versions, the rig file, the files and earlier steps
-that it names) and its outputs are, too. steps.json is written anew after each step.
+A step is complete as long as its inputs (its text, the versions, the rig file, the files and earlier steps that it
+names) and its outputs are unchanged. steps.json is rewritten after each step.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 FILE = "steps.json"
 NOT_OF_A_STEP = (FILE, "timing.json", "origin.json")
-"""Files of the whole campaign."""
+"""Files that belong to the whole campaign, not to a step."""
 Checksums = dict[str, Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$")]]
 
 
@@ -37,7 +37,7 @@ def file_checksum(path: Path) -> str:
 
 
 def checksum(content: object) -> str:
-    """SHA-256 of a `content` that JSON can say."""
+    """SHA-256 of a `content`, written as JSON."""
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 
@@ -47,10 +47,10 @@ def files_of(folder: Path) -> list[Path]:
 
 
 class DoneStep(Checked):
-    """A step that was done: by name the checksums of its inputs, by path in the results those of its outputs.
+    """A step that is done.
 
-    made: checksum of all that it made; bag: the folder of a test's bag, with its checksum; timing: its entry of
-    timing.json.
+    inputs: checksums by name; outputs: checksums by path in the results; made: checksum of all outputs and the bag;
+    bag: folder of a test's bag; timing: the step's entry in timing.json.
     """
 
     name: str
@@ -67,19 +67,19 @@ class _File(Checked):
 
 
 class DoneSteps:
-    """The steps that were done, of which the results are in a folder.
+    """The steps that are done, with their results in a folder.
 
     Parameters
     ----------
     folder
-        Of the results.
+        The folder of the results.
     names
-        Of the campaign's steps, in order; others that were done once are forgotten.
+        Names of the campaign's steps, in order; steps.json may have others, which are ignored.
 
     Attributes
     ----------
     steps
-        Those that were done, by name.
+        The steps that are done, by name.
     """
 
     def __init__(self, folder: Path, names: Sequence[str]) -> None:
@@ -91,13 +91,13 @@ class DoneSteps:
             text = (folder / FILE).read_text(encoding="utf-8")
             found = _File.model_validate_json(text).steps
         except FileNotFoundError:
-            return  # nothing was done
+            return  # no step is done
         except (OSError, ValueError) as error:
             raise AbraceError(f"{folder / FILE}: cannot be read, remove {folder} to begin anew") from error
         self.steps = {step.name: step for step in found if step.name in self._order}
 
     def changed(self, name: str, inputs: Mapping[str, str]) -> str:
-        """What keeps a step `name` with these `inputs` from being whole; empty: it is."""
+        """The reason why the step `name`, with these `inputs`, is not complete; empty: it is complete."""
         done = self.steps.get(name)
         if done is None:
             return "it was not done"
@@ -113,7 +113,7 @@ class DoneSteps:
         return ""
 
     def keep(self, names: Iterable[str]) -> None:
-        """Forget all steps but those with these `names`, and remove what others wrote into the folder."""
+        """Forget all steps except those with these `names`, and remove all other files from the folder."""
         self.steps = {name: self.steps[name] for name in names if name in self.steps}
         outputs = {self.folder / output for step in self.steps.values() for output in step.outputs}
         for path in files_of(self.folder):
@@ -122,20 +122,20 @@ class DoneSteps:
         self._write()
 
     def forget(self, name: str) -> None:
-        """Forget the step `name`, and remove what it wrote into the folder."""
+        """Forget the step `name`, and remove its outputs from the folder."""
         if name in self.steps:
             for output in self.steps.pop(name).outputs:
                 (self.folder / output).unlink(missing_ok=True)
             self._write()
 
     def begin(self) -> None:
-        """Note which files there are, before a step."""
+        """Note the existing files, before a step."""
         self._before = self._stamps()
 
     def end(self, name: str, inputs: Mapping[str, str], bag: Path | None, timing: Mapping[str, Any]) -> None:
-        """Note that a step `name` has been done since `begin`: its outputs are the files that are new, or another.
+        """Note that the step `name` is done: its outputs are the files that are new or changed since `begin`.
 
-        `inputs`: their checksums by name; `bag`: of a test; `timing`: its entry of timing.json.
+        `inputs`: checksums by name; `bag`: folder of a test's bag; `timing`: the step's entry in timing.json.
         """
         written = [path for path, stamp in self._stamps().items() if self._before.get(path) != stamp]
         outputs = {path.relative_to(self.folder).as_posix(): file_checksum(path) for path in written}
@@ -144,7 +144,7 @@ class DoneSteps:
             for output in outputs:
                 other.outputs.pop(output, None)
             if self._order[other.name] > self._order[name]:
-                self.forget(other.name)  # its turn to write comes again
+                self.forget(other.name)  # a later step: it is run again and rewrites these files
         self.steps[name] = DoneStep(
             name=name,
             inputs=dict(inputs),
@@ -166,7 +166,7 @@ class DoneSteps:
 
 
 def copy_results(source: Path, target: Path) -> None:
-    """Copy the folder `source` of results to `target`, steps.json last: a copy that is broken off has no steps."""
+    """Copy the folder `source` of results to `target`, steps.json last: an interrupted copy has no steps."""
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(source, target, ignore=shutil.ignore_patterns(FILE))
     if (source / FILE).is_file():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes that drive a test, or serve as its rig: their programs, parameters and parameter files."""
+"""The nodes that command the braces and the table in a test, or serve as its rig: programs and parameters."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class NodeStart:
     Parameters
     ----------
     name
-        What it is called in the graph.
+        The node's name in the graph.
     program
         Command, without arguments.
     parameters
-        Its parameters, which go before those of the files.
+        Its parameters, which override those of the files.
     files
         Parameter files.
     """
@@ -41,21 +41,21 @@ class NodeStart:
 
 
 def abrace_node(package: str, executable: str, parameters: dict[str, Any], *files: Path, name: str = "") -> NodeStart:
-    """An `executable` of a `package` with its `parameters` and `files`; `name` where it is to be called otherwise."""
+    """An `executable` of a `package` with its `parameters` and `files`; `name`: the executable's by default."""
     return NodeStart(name or executable, [find_executable(package, executable)], parameters, files)
 
 
 def drivers(test: RigTest, laboratory: Laboratory, controller_file: Callable[[str], Path]) -> dict[str, NodeStart]:
-    """The nodes that drive a test, by the topic that each publishes.
+    """The nodes that command the braces and the table, by the topic that each publishes.
 
     Parameters
     ----------
     test
         The test.
     laboratory
-        Of the test.
+        The test's laboratory.
     controller_file
-        Gives the file of a controller, by what the test calls it.
+        Function that returns a controller's file, given the `controller` of the test.
     """
     rig, controller = laboratory.rig, test.controller
     rates = {"rate_limit": test.rate_limit} if test.rate_limit else {}
@@ -78,18 +78,18 @@ def drivers(test: RigTest, laboratory: Laboratory, controller_file: Callable[[st
 
 
 def rig_node(test: RigTest, laboratory: Laboratory, seed: int, wait_for: Sequence[str]) -> NodeStart:
-    """The rig of a test, whose node is called `plant` whatever it is.
+    """The rig of a test: its node is always called `plant`.
 
     Parameters
     ----------
     test
         The test.
     laboratory
-        Of the test.
+        The test's laboratory.
     seed
-        Of the sensors' noise, where that is simulated.
+        Seed of simulated sensor noise.
     wait_for
-        The topics whose answers lockstep waits for; empty: by the clock.
+        The topics whose answers lockstep waits for; empty: real time.
     """
     setup = laboratory.setup
     given: dict[str, Any] = {"rig": str(laboratory.rig_file), "duration": test.duration, "autostart": False}

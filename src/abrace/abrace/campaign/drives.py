@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What drives a test: motions of the table, and commands to the braces."""
+"""The ground motions and brace excitations that a campaign file may ask for."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ WHITE_NOISE, MULTISINE = "white_noise", "multisine"
 
 
 class Drive(Checked):
-    """What moves the table, or what the braces are commanded."""
+    """A motion of the table, or an excitation of the braces."""
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Those of its node that are given: our keys are its names."""
+        """Parameters of its node that the file gives: key and parameter have the same name."""
         given = self.model_dump(exclude_none=True)
         return {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
 
 
 class BandedNoise(Drive):
-    """Banded white noise: rms in the unit of what it drives, band [Hz], seed."""
+    """Banded white noise: rms ([m/s^2] of the table, [N] of a brace), band [Hz], seed."""
 
     rms: Positive
     band: Band
@@ -87,9 +87,9 @@ def _known_or_file(record: str, info: pydantic.ValidationInfo) -> str:
 
 
 class Record(Drive):
-    """A table motion from a record, which is a known name or a file: how it is read, and what is done to it.
+    """A table motion from a record: a known name or a file, how it is read, and how it is processed.
 
-    Everything is a parameter of the node `ground_motion` with that name, and has its default.
+    Every key is the parameter of the same name of the node `ground_motion`, with its default.
     """
 
     record: Annotated[Text, pydantic.AfterValidator(_known_or_file)]

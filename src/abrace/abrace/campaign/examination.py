@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the bag of a test says of its run: faults, losses, readings and motions that were cut, commands that were."""
+"""The events of a test, from its bag: faults, lost samples, clipped readings, limited commands and motions."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ FLAGS = {
     "stop_pressed": STOP_PRESSED,
     "late": LATE,
 }
-"""Entries of a test in timing.json that count samples, and the flag that each of those has."""
+"""Entries of a test in timing.json, and the flag of the samples that each of them counts."""
 
 
 def examine(bag: Path, topic: str, samples: int | None) -> dict[str, Any]:
-    """Entries of a test for timing.json, from the responses in its bag; only what happened is in them.
+    """Entries of a test for timing.json, from the responses in its bag; counts of zero are left out.
 
     Parameters
     ----------
     bag
-        Of the test.
+        The test's bag.
     topic
-        Of its responses.
+        The topic of the responses.
     samples
-        How many the rig has published; None: it does not say, and what is missing between those in the bag is lost.
+        Number of samples that the rig published; None: not known, and the gaps within the bag are counted as lost.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def examine(bag: Path, topic: str, samples: int | None) -> dict[str, Any]:
     """
     response = read_topics(bag, [topic]).get(topic)
     if response is None or not response.log_time.size:
-        raise RunFailed(f"{bag}: no sample of {topic} is in it, expected those of a test")
+        raise RunFailed(f"{bag}: has no sample of {topic}, expected those of a test")
     fields = response.fields
     causes = [cause for cause in dict.fromkeys(fields["cause"].tolist()) if cause]
     if causes:
@@ -54,7 +54,7 @@ def examine(bag: Path, topic: str, samples: int | None) -> dict[str, Any]:
     sizes = [fields[name].shape[1] for name in ("displacement", "stroke")]
     braces = tuple(fields["braces"][0].tolist())
     if len(braces) != sizes[1]:
-        raise AbraceError(f"{bag}: braces of {len(braces)} groups, expected {sizes[1]}")
+        raise AbraceError(f"{bag}: {len(braces)} numbers of braces, expected {sizes[1]}, one for each group")
     names = channel_names(sizes[0], braces)[:64]
     at_end = {name: int(np.sum(fields["clipped"] >> np.uint64(i) & np.uint64(1))) for i, name in enumerate(names)}
     found["clipped"] = {name: count for name, count in at_end.items() if count}

@@ -29,7 +29,7 @@ from abrace_core.config_mistakes import mistakes
 from abrace_core.errors import AbraceError
 
 TAGGED = ("ground_motion", "excitation", "controller", "rig")
-"""Keys of which pydantic names the kind too, which is no key of the file."""
+"""Keys to which pydantic appends the kind of their value, which is no key of the file."""
 
 
 class _Step(Checked):
@@ -58,7 +58,7 @@ class _Campaign(Checked):
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a campaign: its name, which names its files too, and what is to be done."""
+    """One step of a campaign: its task, and its name, which its files have as well."""
 
     name: str
     task: Task
@@ -66,18 +66,18 @@ class Step:
 
 @dataclass(frozen=True)
 class RigSetup:
-    """What a test moves.
+    """The rig of a test and how it is reached.
 
     Parameters
     ----------
     file
         A rig's name or file.
     node
-        The user's, which serves as that rig; None: abrace's.
+        The user's node that serves as that rig; None: abrace's own.
     device
-        Name or file of the device that the rig is behind; None: there is none.
+        Name or file of the device that connects the rig; None: no device.
     emulator
-        Whether the emulator is that device.
+        Whether the emulator takes the place of that device.
     """
 
     file: str
@@ -87,7 +87,7 @@ class RigSetup:
 
     @property
     def simulated(self) -> bool:
-        """Whether the rig is what the rig file says."""
+        """Whether the rig is simulated from the rig file."""
         return self.node is None and (self.device is None or self.emulator)
 
 
@@ -98,17 +98,17 @@ class Campaign:
     Parameters
     ----------
     name
-        Names the folder of the results.
+        Name of the campaign and of the folder of its results.
     setup
         The rig of the tests that name no other.
     lockstep
-        Whether tests run in lockstep rather than in real time, unless they say otherwise.
+        Whether tests run in lockstep rather than in real time, unless a test has its own value.
     steps
-        In the order in which they are made.
+        The steps, in the order in which they run.
     thread_priority
-        Of the loops of nodes and emulator; 0: none.
+        Real-time priority of the loops of nodes and emulator; 0: none.
     path
-        Of the file.
+        The campaign file.
     """
 
     name: str
@@ -120,7 +120,7 @@ class Campaign:
 
     @property
     def tasks(self) -> dict[str, Task]:
-        """What is to be done by the steps' names, in order."""
+        """The tasks by the steps' names, in order."""
         return {step.name: step.task for step in self.steps}
 
     @property
@@ -129,7 +129,7 @@ class Campaign:
         return {step.name: step.task for step in self.steps if isinstance(step.task, RigTest)}
 
     def setup_of(self, test: RigTest) -> RigSetup:
-        """The rig of a `test`: what that does not say is as the campaign says."""
+        """The rig of a `test`: the test's own keys, and the campaign's for all others."""
         return _setup(test, self.setup)
 
     def in_lockstep(self, test: RigTest) -> bool:
@@ -167,7 +167,7 @@ def load_campaign(path: Path | str) -> Campaign:
 
 
 def _read_steps(listed: list[tuple[int, Any]], context: dict[str, str], found: list[str]) -> dict[str, Task | None]:
-    """The tasks by name, None for a wrong one, of which a mistake is added to `found`."""
+    """The tasks by name, None for a step with a mistake; mistakes are added to `found`."""
     tasks: dict[str, Task | None] = {}
     for number, content in listed:
         name = content.get("name") if isinstance(content, dict) else None
@@ -204,7 +204,7 @@ def refuse(problems: list[str]) -> None:
 
 
 def _setup(given: RigTest | _Campaign, base: RigSetup) -> RigSetup:
-    """What is given of the rig, and otherwise that of `base`."""
+    """The rig of a test or campaign; keys that it does not have are those of `base`."""
     file, node = base.file, base.node
     if isinstance(given.rig, OwnRig):
         file, node = given.rig.file, given.rig
@@ -217,7 +217,7 @@ def _setup(given: RigTest | _Campaign, base: RigSetup) -> RigSetup:
 
 
 def _wrong_setups(campaign: Campaign) -> list[str]:
-    """What does not go together of rig, device, emulator, lockstep, and what only a simulated rig can be told."""
+    """Wrong combinations of rig, device, emulator and lockstep, and keys that only a simulated rig takes."""
     found: list[str] = []
     for name, test in campaign.tests.items():
         setup = campaign.setup_of(test)
@@ -226,12 +226,12 @@ def _wrong_setups(campaign: Campaign) -> list[str]:
         found += [f"{where}{wrong}" for wrong in _wrong_setup(setup, campaign.in_lockstep(test))]
         if setup.device is None and setup.node is None:
             continue
-        who = "a device: a person disconnects them" if setup.device else "a rig of your own: its parameters say so"
+        who = "a device: disconnect them by hand" if setup.device else "a rig of your own: use its parameters"
         if test.disconnected_braces:
             found.append(f"step {name}: test.disconnected_braces, expected none with {who}")
         for key in ("sensor_faults", "sensor_seed"):
             if key in test.model_fields_set:
-                found.append(f"step {name}: test.{key}, expected none but with the simulated rig")
+                found.append(f"step {name}: test.{key}, expected only with the simulated rig")
     return list(dict.fromkeys(found))
 
 
@@ -242,5 +242,5 @@ def _wrong_setup(setup: RigSetup, lockstep: bool) -> list[str]:
     if setup.device is not None and setup.node is not None:
         found.append(f"device: {setup.device}, expected none with a rig of your own (rig.run)")
     if lockstep and setup.device is not None:
-        found.append("lockstep: true, expected false with a device: hardware has a tick of its own")
+        found.append("lockstep: true, expected false with a device: hardware has its own sample clock")
     return found

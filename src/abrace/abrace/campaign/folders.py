@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a campaign's results and bags are: results/NAME is whole at any time, the next grow in results/_unfinished."""
+"""The folders of a campaign's results and bags: results/NAME is always complete, results/_unfinished is in progress."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 RESULTS = Path("results")
 BAGS = Path("bags")
 PATIENCE = 30.0
-"""Seconds in which the nodes of a campaign that was killed have to end."""
+"""Seconds within which the nodes of a killed campaign have to end."""
 
 
 class Folders:
@@ -31,19 +31,19 @@ class Folders:
     def __init__(self, name: str) -> None:
         self.name = name
         self.results = RESULTS / name
-        """Of the last campaign that was whole."""
+        """Results of the last complete run."""
         self.unfinished = RESULTS / "_unfinished" / name
-        """Of the one that is run, or was interrupted; no campaign has a name that begins with _."""
+        """Results of the run in progress, or interrupted; no campaign has a name that begins with _."""
         self._replaced = RESULTS / f".{name}.replaced"
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[int]:
-        """Keep every other run of the campaign out; gives the lock, an open file whose heirs hold it, too.
+        """Prevent other runs of the campaign; gives the lock, an open file: processes that inherit it hold it, too.
 
         Raises
         ------
         AbraceError
-            If the campaign runs already.
+            If the campaign is already running.
         """
         make_folder(RESULTS)
         lock = os.open(RESULTS / f".{self.name}.lock", os.O_RDWR | os.O_CREAT, 0o644)
@@ -64,7 +64,7 @@ class Folders:
             except BlockingIOError:
                 if time.monotonic() > deadline:
                     raise AbraceError(
-                        f"campaign {self.name}: is being run here by another process, expected one at a time"
+                        f"campaign {self.name}: another process is running it in this folder, expected one at a time"
                     ) from None
                 if not waiting:
                     print(f"abrace: waiting until the last run of {self.name} has ended", file=sys.stderr, flush=True)
@@ -83,12 +83,12 @@ class Folders:
         return folder
 
     def settle(self, step: str) -> None:
-        """Have the parameters of a `step`'s nodes name files where they will be, to be given to the nodes again."""
+        """Change the paths in the parameter files of a `step` to those after `swap_in`, so that they can be reused."""
         for path in (self.unfinished / "nodes").glob(f"{step}_*.yaml"):
             self._settle(path)
 
     def settle_report(self) -> None:
-        """Have the report name files where they will be, as `settle`."""
+        """Change the paths in the report to those after `swap_in`."""
         for name in ("report.md", "report.html"):
             self._settle(self.unfinished / name)
 
@@ -99,7 +99,7 @@ class Folders:
             write_text(path, settled)
 
     def swap_in(self) -> None:
-        """Have what was unfinished take the place of the last results."""
+        """Replace the last results by the unfinished ones, which are complete now."""
         shutil.rmtree(self._replaced, ignore_errors=True)
         if self.results.exists():
             move(self.results, self._replaced)

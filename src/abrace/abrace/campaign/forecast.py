@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tests will ask of sensors, interlocks and braces, predicted with the linear model of the rig's file.
+"""Predicted peaks of tests against the limits of sensors, interlocks, table and braces, by the rig file's linear model.
 
-A test with a controller is predicted with its loop closed: by its file, or by a design on the rig's own model where the
-campaign has still to identify one. A node of the user's cannot be simulated: its test is predicted with zero command.
+A test with a controller is predicted in closed loop: with the controller's file, or, if the campaign has yet to
+identify the model, with a design on the rig's own model. A user's node cannot be simulated: its test is predicted with
+zero command.
 """
 
 from __future__ import annotations
@@ -43,26 +44,26 @@ if TYPE_CHECKING:
     Law = tuple[LinearModel, NDArray[np.float64]]
 
 UNITS = {"table": "", "drift": "m", "displacement": "m", "acceleration": "m/s^2", "stroke": "m", "force": "N"}
-"""What is predicted, by kind; the table's in the unit of what it has least of."""
+"""Units of the predicted quantities; the table's quantity is the one nearest to its limit, with its own unit."""
 COMMAND = "command"
 
 
 @dataclass(frozen=True)
 class Peak:
-    """The greatest value of one kind of quantity beside what there is.
+    """The greatest value of one kind of quantity, and its limit.
 
     Parameters
     ----------
     name
-        Which one has it: "x3", "storey 1", "velocity".
+        The signal with this value: "x3", "of storey 1", "velocity".
     value
-        [unit].
+        The value [unit].
     limit
-        [unit].
+        Its limit [unit].
     unit
-        Of both.
+        Unit of both.
     of
-        What the limit is: "sensor range", "interlock", "table", "force limit".
+        Origin of the limit: "sensor range", "interlock", "table", "force limit".
     """
 
     name: str
@@ -73,27 +74,27 @@ class Peak:
 
     @property
     def share(self) -> float:
-        """Of the limit."""
+        """The value as a share of the limit."""
         return self.value / self.limit
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """What a test will ask for.
+    """The predicted peaks of a test.
 
     Parameters
     ----------
     peaks
-        By kind: those of UNITS, and "command".
+        Peaks by kind: those of UNITS, and "command".
     note
-        What was not predicted; empty: all was.
+        What the prediction assumes or leaves out; empty: nothing.
     """
 
     peaks: dict[str, Peak]
     note: str = ""
 
     def cares(self) -> Iterator[str]:
-        """What is beyond its limit."""
+        """The peaks beyond their limits."""
         for kind, peak in self.peaks.items():
             if kind == COMMAND and peak.share >= 1:
                 yield f"command {peak.name} reaches its limit of {peak.limit:.4g} N ({peak.of})"
@@ -106,7 +107,7 @@ class Forecast:
 
 @dataclass(frozen=True)
 class _Designed:
-    """A design that was tried: its law, whether its model is there already, and why it is refused."""
+    """A tried design: its law, whether its model exists already, and why the design is refused."""
 
     law: Law | None
     known: bool
@@ -114,7 +115,7 @@ class _Designed:
 
 
 class _Prepared:
-    """A rig as it is in some tests, with what each of them is predicted with."""
+    """A rig with some braces disconnected, its discrete model, and the limits of its signals."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
@@ -141,12 +142,12 @@ class Forecaster:
         self._forecasts = {name: self._forecast(test) for name, test in checked.campaign.tests.items()}
 
     def refusals(self) -> list[str]:
-        """Designs that their models, which are there already, refuse: a line each."""
+        """Designs that are refused on a model that exists already: a line each."""
         refused = {name: one.refusal for name, one in self._designed.items() if one.known and one.refusal}
         return [f"step {name}: {refusal}" for name, refusal in refused.items()]
 
     def cares(self) -> list[str]:
-        """What is not refused, but will go wrong by the prediction: a line for each step that it is about."""
+        """Predicted problems that are no reason to refuse the campaign: a line for each, with its step."""
         found = [
             f"step {name}: {one.refusal}, as predicted with the model of the rig file"
             for name, one in self._designed.items()
@@ -157,7 +158,7 @@ class Forecaster:
         return found
 
     def of(self, test: str) -> Forecast:
-        """What the `test` of this name will ask for."""
+        """The forecast of the `test` of this name."""
         return self._forecasts[test]
 
     def _forecast(self, test: RigTest) -> Forecast:
@@ -198,7 +199,7 @@ class Forecaster:
         return self._prepared[key]
 
     def _law(self, controller: str, laboratory: Laboratory) -> tuple[Law | None, str]:
-        """A controller's law and correction, and what is to be said of the prediction with it."""
+        """A controller's law and correction, and a note on the prediction with it."""
         if controller.endswith(CONTROLLER_FILE):
             read = load_controller(controller)
             return (read.law, read.correction), ""
@@ -210,7 +211,7 @@ class Forecaster:
         return designed.law, "" if designed.known else f"{controller} as designed on the rig's own model"
 
     def _design(self, task: Design) -> _Designed:
-        """A design on its model if that is there already, otherwise on the rig's own."""
+        """A design on its model if that exists already, otherwise on the rig's own."""
         rig = self._checked.laboratories.behind(task)[0].rig
         known, law, refusal = is_path(task.model), None, ""
         file = task.model if task.model.endswith(MODEL_FILE) else f"{task.model}/reduced{MODEL_FILE}"
@@ -227,7 +228,7 @@ class Forecaster:
 
 
 def _table_peak(ground: NDArray[np.float64], rig: Rig) -> dict[str, Peak]:
-    """What the table has least of."""
+    """The table's quantity that is nearest to its limit."""
     demands = table_motion(ground, rig.sample_rate).demands(rig.table)[:-1]
     worst = max(demands, key=lambda demand: demand.value / demand.limit)
     return {"table": Peak(worst.name, worst.value, worst.limit, worst.unit, "table")}
@@ -236,7 +237,7 @@ def _table_peak(ground: NDArray[np.float64], rig: Rig) -> dict[str, Peak]:
 def _response_peaks(
     outputs: dict[str, NDArray[np.float64]], count: int, limits: dict[str, tuple[float, str]]
 ) -> dict[str, Peak]:
-    """The worst of each kind of response of so many floors, beside its limit."""
+    """The greatest value of each kind of response, with its limit; `count`: the number of floors."""
     greatest = {name: float(np.abs(values).max()) for name, values in outputs.items()}
     floors = [np.zeros(1), *(outputs[f"x{i + 1}"] for i in range(count))]
     drifts = {f"of storey {i}": float(np.abs(b - a).max()) for i, (a, b) in enumerate(pairwise(floors), 1)}
@@ -257,7 +258,7 @@ def _response_peaks(
 
 
 def _limit(kind: str, rig: Rig, interlock: Interlock) -> tuple[float, str]:
-    """The least of a sensor's range and the interlock, if that stops the rig, and what it is."""
+    """The least of a sensor's range and the interlock, if that stops the rig, and which of the two it is."""
     limits = [(interlock.value, "interlock")] if interlock.action == "stop" else []
     if kind != "drift":
         limits.append((getattr(rig.sensors, kind).range, "sensor range"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a step of a campaign is made from, as checksums: its text, the versions, files, and what earlier steps made."""
+"""The inputs of a campaign's steps as checksums: its text, the versions, files, and the outputs of earlier steps."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from abrace.campaign.done import checksum, file_checksum
 from abrace.campaign.tasks import RigTest
 from abrace_bags.metadata import METADATA_FILE, installed_versions
 from abrace_plant.devices.file import calibration_of
+from abrace_plant.rig.file import frame_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -28,7 +29,7 @@ class Inputs:
     campaign
         The campaign.
     laboratories
-        Of its tests.
+        The laboratories of its tests.
     """
 
     def __init__(self, campaign: Campaign, laboratories: Laboratories) -> None:
@@ -42,16 +43,16 @@ class Inputs:
         }
 
     def of(self, number: int, made: Mapping[str, str]) -> dict[str, str]:
-        """Checksums of what a step is made from.
+        """Checksums of the inputs of a step.
 
-        Every word of its text that is the name of an earlier step, of a file or of a bag stands for that.
+        Each value in its text that names an earlier step, a file or a bag is an input.
 
         Parameters
         ----------
         number
-            Of the step, 0 the first, from which the seed of a test's sensors comes.
+            Number of the step, 0 the first; the seed of a test's sensor noise depends on it.
         made
-            By name of a step, the checksum of all that it made.
+            Checksum of all outputs of a step, by its name.
         """
         task = self._campaign.steps[number].task
         text = task.model_dump(mode="json")
@@ -62,7 +63,7 @@ class Inputs:
         else:
             lab = self._laboratories.behind(task)[0]
         devices = (lab.device_file, calibration_of(lab.device_file)) if lab.device_file is not None else ()
-        found |= _files(str(path) for path in (lab.rig_file, *devices) if path is not None)
+        found |= _files(str(path) for path in (lab.rig_file, frame_of(lab.rig_file), *devices) if path is not None)
         words = sorted(set(_words(text)))
         earlier = {step.name for step in self._campaign.steps[:number]}
         found |= {f"step {word}": made.get(word, "") for word in words if word in earlier}
@@ -76,7 +77,7 @@ def _files(words: Iterable[str]) -> dict[str, str]:
 
 
 def _words(content: object) -> Iterator[str]:
-    """Every string in what JSON can say."""
+    """Every string in `content`, which is of JSON's types."""
     if isinstance(content, str):
         yield content
     elif isinstance(content, dict):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rig of a test: its file read, its device checked, and the user's node found."""
+"""The rig of a test: reading its file, checking its device, and finding the user's node."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Laboratory:
-    """What a test moves, as its files have it.
+    """The rig of a test with its files.
 
     Parameters
     ----------
     setup
-        Which it is.
+        The keys of the campaign file.
     rig
-        As the file says.
+        The rig from its file.
     rig_file, device_file
-        The files; no device: None.
+        The files; device_file is None without a device.
     """
 
     setup: RigSetup
@@ -47,7 +47,7 @@ class Laboratories:
     Parameters
     ----------
     campaign
-        Whose tests ask for them.
+        The campaign.
     """
 
     def __init__(self, campaign: Campaign) -> None:
@@ -55,7 +55,7 @@ class Laboratories:
         self._known: list[Laboratory] = []
 
     def of(self, test: RigTest | None = None) -> Laboratory:
-        """That of a `test`, or the campaign's own.
+        """The laboratory of a `test`; None: the campaign's own.
 
         Raises
         ------
@@ -75,9 +75,9 @@ class Laboratories:
         return self._known[-1]
 
     def behind(self, task: Task) -> tuple[Laboratory, RigTest | None]:
-        """The laboratory and the first of the tests that an identification uses, or the model of a design.
+        """The laboratory of an identification and the first test that it uses; of a design, those of its model.
 
-        The campaign's own where those tests are another campaign's, and for every other `task`.
+        For tests of another campaign, and for every other kind of `task`: the campaign's own laboratory and None.
         """
         steps = self._campaign.tasks
         if isinstance(task, Design):
@@ -88,7 +88,7 @@ class Laboratories:
 
 
 def program_of(node: OwnNode) -> list[str | Path]:
-    """The command that starts a `node` of the user's, without its arguments.
+    """The command that starts a user's `node`, without its arguments.
 
     Raises
     ------

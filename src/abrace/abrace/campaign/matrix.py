@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps for every combination of some values: `matrix: {law: [a, b], seed: [1, 2]}` beside `steps`.
+"""Steps for every combination of some values: an entry with `matrix: {law: [a, b], seed: [1, 2]}` and `steps`.
 
-In those steps `<law>` alone is the value itself, and within a longer text what the value is called: a name of its own
-where the values are `name: value`, otherwise the value, with _ for a point. A step that comes out the same again is
-made once.
+In these steps `<law>` alone is replaced by the value itself, within a longer text by the value's label. The label is
+the name if the values are given as `name: value`, otherwise the value with _ for a point. Equal steps are made once.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ if TYPE_CHECKING:
 PLACE = re.compile(r"<([A-Za-z_]\w*)>")
 
 Values = dict[str, Any]
-"""Of one axis, by what they are called."""
+"""The values of one axis, by label."""
 
 
 def expanded(steps: Any) -> tuple[list[tuple[int, Any]], list[str]]:
-    """The `steps` of a file with every matrix carried out, each with its number, and what is wrong with those."""
+    """The `steps` of a file with every matrix expanded, each with its number in the file, and the mistakes."""
     listed: list[tuple[int, Any]] = []
     wrong: list[str] = []
     for number, entry in enumerate(steps if isinstance(steps, list) else [], 1):
@@ -67,7 +66,7 @@ def _combinations(entry: Mapping[str, Any]) -> tuple[list[Any], list[str]]:
 
 
 def _named(values: Any) -> Values:
-    """The values of an axis by what they are called."""
+    """The values of an axis, by label."""
     if isinstance(values, dict) and values:
         named = {str(key): value for key, value in values.items()}
     elif isinstance(values, list) and values:
@@ -75,7 +74,7 @@ def _named(values: Any) -> Values:
     else:
         raise ValueError("a list of values, or of `name: value`")
     if not all(map(is_step_name, named)):
-        raise ValueError("names, numbers, or `name: value` for what is neither")
+        raise ValueError("names or numbers, or `name: value` for other values")
     return named
 
 
@@ -84,7 +83,7 @@ def _shown(keys: Mapping[str, Any]) -> str:
 
 
 def _filled(content: Any, chosen: Mapping[str, tuple[str, Any]], is_name: bool = False) -> Any:
-    """A step with the values that were `chosen`, (called, value) by axis."""
+    """A step with the `chosen` values, (label, value) by axis, filled in."""
     if isinstance(content, dict):
         return {key: _filled(value, chosen, key == "name") for key, value in content.items()}
     if isinstance(content, list):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names, files and numbers of the campaign file. A path in it counts from the file's own folder."""
+"""Types of names, files and numbers in the campaign file. Its paths are relative to the file's own folder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
 def is_step_name(name: str) -> bool:
-    """Whether a step may have this `name`: its files have it as well."""
+    """Whether a step may have this `name`, which is also used for its files."""
     return _FILE_NAME.fullmatch(name) is not None
 
 
@@ -35,7 +35,7 @@ def _rising(band: tuple[float, float]) -> tuple[float, float]:
 
 
 def from_folder(path: str, info: pydantic.ValidationInfo) -> str:
-    """A `path` of the file, from the folder that the validation's context `info` has."""
+    """A `path` in the campaign file, joined to the file's folder from the validation context `info`."""
     return os.path.join((info.context or {}).get(FOLDER, "."), path)  # noqa: PTH118 - "./model" keeps its slash
 
 
@@ -61,7 +61,7 @@ Flag = Annotated[bool, pydantic.Field(strict=True)]
 Text = Annotated[str, pydantic.Field(min_length=1)]
 Name = Annotated[str, pydantic.AfterValidator(_file_name)]
 NameOrFile = Annotated[Text, pydantic.AfterValidator(_name_or_file)]
-"""Of a step, or of what a package has; or a file or folder, which has a "/" or ends in .yaml or .json."""
+"""Name of a step or of a package's file; or a path, which contains "/" or ends in .yaml or .json."""
 Band = Annotated[tuple[NonNegative, NonNegative], pydantic.AfterValidator(_rising)]
 PositiveBand = Annotated[tuple[Positive, Positive], pydantic.AfterValidator(_rising)]
 Tests = Annotated[tuple[NameOrFile, ...], pydantic.Field(min_length=1), pydantic.BeforeValidator(_listed)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the steps between the tests ask of rigs, tests and files, looked at before the first test."""
+"""Checks, before the first test, of what identifications, designs and comparisons need of rigs, tests and files."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ MODELS = ("model", "reduced", "superposed")
 
 
 def wrong_offline(task: Task, tests: Mapping[str, RigTest], rig: Rig) -> Iterator[str]:
-    """What an identification, a design or a comparison cannot succeed with.
+    """Mistakes because of which an identification, a design or a comparison cannot succeed.
 
     Parameters
     ----------
     task
-        Of a step.
+        The task of a step.
     tests
-        Those of the campaign.
+        The campaign's tests.
     rig
-        Of the tests that it uses.
+        The rig of the tests that the task uses.
     """
     match task:
         case Identify():
@@ -75,9 +75,15 @@ def _wrong_identify(task: Identify, tests: Mapping[str, RigTest], rig: Rig) -> I
     least = 2 * rig.floors
     if task.command_order and (task.command_order < least or task.command_order % 2):
         yield f"identify.command_order: {task.command_order}, expected 0, or an even number from {least} on"
-    for key, names in (("table", task.table), ("command", task.command)):
+    for key, names, band in (
+        ("table", task.table, task.table_band),
+        ("command", task.command, task.command_band),
+    ):
         own = {name: tests[name] for name in names if name in tests}
-        band = task.band_of(key, list(own.values()))
+        drives = [test.ground_motion if key == "table" else test.excitation for test in own.values()]
+        bands = [drive.band for drive in drives if isinstance(drive, BandedNoise)]
+        if bands and max(low for low, _ in bands) >= min(high for _, high in bands):
+            yield f"identify.{key}: the bands of {', '.join(own)} do not overlap"
         for name, test in own.items():
             if test.duration < LEAST_SECONDS:
                 yield f"identify.{key}: {name} has {test.duration:g} s, expected {LEAST_SECONDS:g} s at least"
@@ -90,7 +96,7 @@ def _wrong_identify(task: Identify, tests: Mapping[str, RigTest], rig: Rig) -> I
 
 
 def _wrong_bags(key: str, names: tuple[str, ...]) -> Iterator[str]:
-    """The bags among some tests that cannot be read."""
+    """Mistakes of the paths of bags among `names`: bags that cannot be read, or are not of a test."""
     for name in filter(is_path, names):
         try:
             if not any(topic.endswith("/response") for topic in topic_names(name)):
@@ -100,7 +106,7 @@ def _wrong_bags(key: str, names: tuple[str, ...]) -> Iterator[str]:
 
 
 def _wrong_model(key: str, model: str, names: tuple[str, ...]) -> Iterator[str]:
-    """The files of a model by its path that cannot be read."""
+    """The files of a `model`, given by its path, that cannot be read."""
     if not is_path(model):
         return
     path = Path(model)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a campaign's results come from: its file, its command, the versions that made them; origin.json."""
+"""The origin of a campaign's results, origin.json: campaign file, command, and versions."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 PACKAGES = ("abrace", "numpy", "scipy", "numba", "matplotlib", "pydantic", "mcap")
-"""Those whose versions are noted."""
+"""Packages whose versions are written."""
 
 
 def write_origin(results: Path, campaign_file: Path) -> None:
-    """Write origin.json into the folder of `results` that the `campaign_file` is about to be run for."""
+    """Write origin.json into the folder of `results`, before the campaign of `campaign_file` runs."""
     content = campaign_file.read_bytes()
     middleware = os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
     origin = {

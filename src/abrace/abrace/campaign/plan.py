@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a campaign will do: its tests with what they ask for, how long it takes, what it writes."""
+"""The plan of a campaign: its steps, the predicted peaks of its tests, duration, and files that it writes."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     from abrace.campaign.tasks import Task
 
 BYTES_OF_A_NUMBER = 13
-"""In a bag, compressed, of each channel and command at each sample: the demo's have 10 to 13."""
+"""Compressed size in a bag of one channel or command at one sample; 10 to 13 in the demo's bags."""
 BYTES_OF_FACTS = 200_000
-"""Of a bag's facts, attachments and diagnostics."""
+"""Size of a bag's facts, attachments and diagnostics."""
 STARTING = 3.0
-"""Seconds that a test takes besides its run."""
+"""Seconds that a test takes in addition to its run."""
 LOCKSTEP = 8.0
-"""Times real time that lockstep reaches on two cores, less where others compute."""
+"""Speed of lockstep on two cores, times real time; slower if the machine is busy."""
 OFFLINE = {Identify: 8.0, Design: 4.0, Compare: 4.0, Validate: 5.0, Ambient: 6.0}
-"""Seconds that other steps take."""
+"""Typical seconds of the other steps."""
 SMALLEST = {"m": (1e3, "mm"), "N": (1e-3, "kN")}
-"""Factors to units in which peaks are short numbers."""
+"""Factors and units in which peaks are printed."""
 
 
 def check_campaign(path: Path | str) -> Plan:
-    """Check a campaign file whole, and say what it will do.
+    """Check a whole campaign file; returns its plan.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def check_campaign(path: Path | str) -> Plan:
 
 
 class Plan:
-    """What a campaign will do.
+    """The plan of a campaign.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class Plan:
     Attributes
     ----------
     cares
-        What is not refused, but will go wrong as far as it can be predicted: a line each.
+        Predicted problems that are no reason to refuse the campaign: a line each.
     """
 
     def __init__(self, checked: CheckedCampaign) -> None:
@@ -73,14 +73,14 @@ class Plan:
         self._before = _seconds_before(Path("results") / checked.campaign.name / "timing.json")
 
     def seconds(self, name: str, task: Task) -> float:
-        """How long a step takes, about; as the last time, where there was one.
+        """Estimated duration of a step [s]; of an offline step, the duration of its last run if there was one.
 
         Parameters
         ----------
         name
-            Of the step.
+            Name of the step.
         task
-            What it does.
+            Its task.
         """
         if not isinstance(task, RigTest):
             return self._before.get(name, OFFLINE[type(task)])
@@ -89,7 +89,7 @@ class Plan:
         return STARTING + task.duration / LOCKSTEP
 
     def bytes_of_bags(self) -> int:
-        """Size of all bags, about."""
+        """Estimated size of all bags [bytes]."""
         found = 0.0
         for test in self.checked.campaign.tests.values():
             rig = self.checked.laboratories.of(test).rig
@@ -98,7 +98,7 @@ class Plan:
         return round(found)
 
     def text(self) -> str:
-        """Steps, predicted peaks, cares, time and files, for a person."""
+        """The plan as text: steps, predicted peaks, predicted problems, duration and files."""
         campaign = self.checked.campaign
         tests = campaign.tests
         steps = Table(
@@ -112,7 +112,7 @@ class Plan:
         total = sum(self.seconds(name, task) for name, task in campaign.tasks.items())
         folder = Path("results") / campaign.name
         bags = f"bags/{campaign.name}/TIME/ with {_count(tests, 'bag')}, about {_size(self.bytes_of_bags())}"
-        replaced = " (in place of what is there)" if folder.exists() else ""
+        replaced = " (replaces the existing one)" if folder.exists() else ""
         written = [
             f"time: about {_duration(total)}",
             *([f"writes: {bags}"] if tests else []),
@@ -165,7 +165,7 @@ def _duration(seconds: float) -> str:
 
 
 def _seconds_before(path: Path) -> dict[str, float]:
-    """How long the steps of the last campaign of this name took, from its timing.json; nothing where there is none."""
+    """Seconds that each step took in the last campaign of this name, from its timing.json; empty without that file."""
     try:
         steps = json.loads(path.read_text(encoding="utf-8"))["steps"]
         return {step["name"]: float(step["wall_seconds"]) for step in steps}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Identified poles beside the rig's own and the paper's."""
+"""Comparison of identified poles with the rig's own and the paper's."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def compare_poles(results: Path, step: str, rig: Rig, simulated: bool) -> None:
-    """Compare the poles that a `step` identified with the rig's own, where it is simulated, and the paper's.
+    """Compare the poles that a `step` identified with the paper's and, for a simulated rig, with its own.
 
     Writes poles.json and a chart into the folder of `results`.
     """
@@ -36,7 +36,7 @@ def compare_poles(results: Path, step: str, rig: Rig, simulated: bool) -> None:
     }
     own = rig.model.poles() if simulated else np.array([])
     pairs = [{"frequency": w, "damping_ratio": damping} for w, damping in pole_table(own)]
-    # the table test shows the building's modes, wherever local ones lie: the nearest to those found
+    # the table test excites the building's modes, not the local ones: the rig's poles nearest to those found
     true = {"table": _nearest(identified["table"], pairs), "command": pairs[: len(identified["command"])]}
     poles = {test: {"identified": found, "true": true[test]} for test, found in identified.items()}
     content = {"rig": rig.name, **poles}
@@ -50,7 +50,7 @@ def compare_poles(results: Path, step: str, rig: Rig, simulated: bool) -> None:
 
 
 def _nearest(found: list[dict[str, float]], own: list[dict[str, float]]) -> list[dict[str, float]]:
-    """Of each pair that was found the rig's own that is nearest in frequency, each once."""
+    """For each identified pole pair the rig's own that is nearest in frequency, each used once."""
     if not own:
         return []
     ours, theirs = (np.log([pair["frequency"] for pair in pairs]) for pairs in (found, own))

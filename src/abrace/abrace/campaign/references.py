@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the steps of a campaign say of each other: a test that a model is identified from, a model of a design."""
+"""References between the steps of a campaign: the tests of an identification, the model of a design."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ A_MODEL = "an earlier identify step, or a path"
 
 
 def wrong_references(task: Task, earlier: Mapping[str, Task | None]) -> list[str]:
-    """Mistakes in what a `task` says of `earlier` steps, by name; None: one that is itself wrong."""
+    """Mistakes in the references of a `task` to `earlier` steps, given by name; None: a step with a mistake itself."""
     return list(_References(earlier).of(task))
 
 
@@ -40,7 +40,7 @@ class _References:
     def find(
         self, key: str, name: str, kind: type[Kind], expected: str, fits: Callable[[Kind], bool] = lambda _: True
     ) -> Iterator[str]:
-        """A mistake unless the step `name` is of this kind and fits; a path is looked at before the first test."""
+        """A mistake unless the step `name` is of this kind and fits; paths are checked later, in `offline`."""
         if is_path(name) or self.unknown(name):
             return
         referred = self.earlier.get(name)
@@ -49,11 +49,11 @@ class _References:
             yield f"{key}: {name!r}, expected {expected} ({', '.join(having) or 'there is none'})"
 
     def unknown(self, name: str) -> bool:
-        """Whether the step `name` is there, but itself wrong."""
+        """Whether the step `name` exists, but has a mistake itself."""
         return name in self.earlier and self.earlier[name] is None
 
     def test(self, name: str) -> RigTest | None:
-        """The test of this name, if it is one of this file."""
+        """The test `name`; None if it is not in this file."""
         task = self.earlier.get(name)
         return task if isinstance(task, RigTest) else None
 
@@ -112,7 +112,7 @@ class _References:
             yield from self.of_uncontrolled("validate", task.test, task.uncontrolled)
 
     def of_uncontrolled(self, key: str, name: str, uncontrolled: str) -> Iterator[str]:
-        """The same test without control: the same motion, duration, rig and braces."""
+        """Mistakes unless `uncontrolled` is test `name` without control: same motion, duration, rig and braces."""
         test = self.test(name)
         yield from self.find(
             f"{key}.uncontrolled",
@@ -132,7 +132,7 @@ class _References:
         )
 
     def same_rig(self, key: str, names: Sequence[str]) -> Iterator[str]:
-        """Tests that are used together are of one rig, and have the same braces connected."""
+        """Mistakes unless the tests, which are used together, have the same rig and the same braces connected."""
         tests = {name: test for name in names if (test := self.test(name)) is not None}
         for first, test in tests.items():
             for name, other in tests.items():
@@ -159,7 +159,7 @@ def _pushes_alone(test: RigTest) -> bool:
 
 
 def _moves_both(test: RigTest) -> bool:
-    """Table and commands at once: noise, or multisines."""
+    """Whether noise, or multisines, excite table and braces at once."""
     drives = (test.excitation, test.ground_motion)
     periodic = [isinstance(drive, Multisine) for drive in drives]
     return all(isinstance(drive, BandedNoise) for drive in drives) and periodic[0] == periodic[1]

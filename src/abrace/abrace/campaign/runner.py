@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the steps of a campaign: live tests of the rig, offline steps between them, each node a process of its own."""
+"""Runs the steps of a campaign: live tests of the rig and offline steps, each node in a process of its own."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
 
 PATIENCE = 30.0
-"""Seconds in which the nodes of a test have to start and find each other."""
+"""Seconds within which the nodes of a test have to start and discover each other."""
 SILENCE = 3.0
-"""Seconds in which a node of the user's has to publish diagnostics, or it is taken to have none."""
+"""Seconds after which a user's node without diagnostics is assumed not to publish any."""
 STUCK = 30.0
 """Seconds without a new sample that end a test."""
 SEED = 7
 """Seed of the first test's sensor noise; each later test takes the next one."""
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-"""Campaigns on the simulated rig stay on this machine, unless the environment says otherwise."""
+"""Restricts the discovery of campaigns to this machine, unless the environment variable is set."""
 
 
 @contextlib.contextmanager
 def unless_over(node: str) -> Iterator[None]:
-    """Let a `node` end well before it has answered: a short test is over at once."""
+    """Accept that a `node` ends with exit code 0 before it answers a request, as in a short test."""
     try:
         yield
     except NodeDied as died:
@@ -65,7 +65,7 @@ def unless_over(node: str) -> Iterator[None]:
 
 @dataclass
 class Runner:
-    """Runs the steps of a campaign; `lock`: an open file that whoever ends the nodes holds, too."""
+    """Runs the steps of a campaign; `lock`: an open file that the guard process inherits."""
 
     campaign: Campaign
     laboratories: Laboratories
@@ -73,12 +73,12 @@ class Runner:
     bags: Path
     lock: int
     seen: Callable[[GraphMonitor, Laboratory], None] = lambda _monitor, _lab: None
-    """Called while a test runs, whenever something may have come from its nodes."""
+    """Called repeatedly while a test runs, to show the reports of its nodes."""
     done: DoneSteps = field(init=False)
     """Set before the first step is run."""
 
     def environment(self, lockstep: bool) -> dict[str, str]:
-        """Variables that the nodes of a test, in `lockstep` or not, get in addition to ours."""
+        """Environment variables that a test's nodes get in addition to this process's; `lockstep` or real time."""
         single = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         own = {key: value for key, value in LOCAL.items() if key not in os.environ}
         if lockstep:
@@ -86,7 +86,7 @@ class Runner:
         return {**own, **single}
 
     def start(self, group: ProcessGroup, step: str, node: NodeStart, lockstep: bool = False) -> None:
-        """Start a `node` of a `step`, of which the test is in `lockstep` or not, in a `group`."""
+        """Start a `node` of a `step` in a `group`; `lockstep`: whether the test runs in lockstep."""
         folder = self.results / "nodes"
         command: list[str | Path] = [*node.program, "--ros-args"]
         for file in (*node.files, parameter_file(folder / f"{step}_{node.name}.yaml", node.parameters)):
@@ -95,7 +95,7 @@ class Runner:
         group.start(node.name, command, folder / f"{step}_{node.name}.log", self.environment(lockstep))
 
     def start_emulator(self, group: ProcessGroup, step: str, lab: Laboratory, seed: int) -> None:
-        """Start the emulator of a `lab` with a `seed`, and wait until it ticks; as in `start`."""
+        """Start the emulator of a `lab` with a `seed`, and wait until it samples; `group` and `step` as in `start`."""
         assert lab.device_file is not None
         folder = self.results / "nodes"
         program = find_executable("abrace_plant", "emulator")
@@ -108,7 +108,7 @@ class Runner:
             group.raise_if_died()
 
     def controller_file(self, controller: str) -> Path:
-        """A controller's file: given as one, or where the design step of that name puts it."""
+        """The file of a `controller`: its path, or the output of the design step of that name."""
         if controller.endswith(CONTROLLER_FILE):
             return Path(controller)
         return self.results / controller / f"{controller}{CONTROLLER_FILE}"
@@ -149,15 +149,16 @@ class Runner:
             group.stop_together([*nodes.values(), "plant"])
             group.stop_all()
         happened: dict[str, Any] = {"samples": samples, "run_seconds": run_seconds}
-        published = samples if lockstep else None  # a rig of the user's does not say
+        published = samples if lockstep else None  # None: a user's rig does not report it
         if done and not lockstep:
             published, happened["missed_deadlines"] = self.counts(done)
         return happened | examine(bag, f"/{self.campaign.name}/response", published)
 
     def loop_parameters(self, number: int, lockstep: bool) -> dict[str, Any]:
-        """What the loop of a test's node asks the kernel for; number 0 is the rig.
+        """Real-time priority and processor of the loop of a test's node; `number` 0 is the rig.
 
-        In `lockstep` each keeps to one processor, in turn from one on that is not that of every campaign.
+        In `lockstep` each loop is bound to one processor, the next node to the next one. The first processor depends on
+        the process number, so that campaigns at the same time do not all begin with the same one.
         """
         given: dict[str, Any] = {}
         if self.campaign.thread_priority:
@@ -168,9 +169,9 @@ class Runner:
         return given
 
     def counts(self, done: str) -> tuple[int, int]:
-        """Samples of a run by the clock, and answers that did not act from the next sample on.
+        """Samples of a run in real time, and late answers, which did not act from the next sample on.
 
-        `done` is what the rig has printed at the end.
+        `done`: the rig's last lines of output.
         """
         found = re.search(r"done: ([0-9]+) samples, ([0-9]+) late answers", done)
         if found is None:
@@ -187,7 +188,7 @@ class Runner:
     ) -> tuple[float, str]:
         """Show a test's progress until the plant ends; returns its duration [s] and its last lines; as in `run_test`.
 
-        A rig of the user's is deactivated once all samples are recorded, unless it ends by itself.
+        A user's rig is deactivated once all samples are recorded, unless it ends by itself.
         """
         rate, own_rig = lab.rig.sample_rate, lab.setup.node is not None
         begin = last_news = time.monotonic()
@@ -221,7 +222,7 @@ class Runner:
         return seconds, done
 
     def run_offline(self, name: str, package: str, executable: str, parameters: dict[str, Any]) -> None:
-        """Run an offline node to its end; as in `abrace_node`, for the step `name`."""
+        """Run an offline node of the step `name` until it ends; as in `abrace_node`."""
         with ProcessGroup(held=[self.lock]) as group:
             self.start(group, name, abrace_node(package, executable, parameters))
             while group.poll() is None:
@@ -234,20 +235,15 @@ class Runner:
         Parameters
         ----------
         number, name, task
-            Of the step, 0 the first; what is to be done.
+            The step's number, 0 the first, its name and its task.
         shown
-            Its progress.
+            The display of its progress.
         """
         output = self.results / name
         match task:
             case RigTest():
                 return self.run_test(name, task, number, shown)
             case Identify(table=table, command=command):
-                tests = self.campaign.tests
-                bands = {
-                    f"{key}_band": task.band_of(key, [tests[name] for name in names if name in tests])
-                    for key, names in (("table", table), ("command", command))
-                }
                 self.run_offline(
                     name,
                     "abrace_sysid",
@@ -256,7 +252,6 @@ class Runner:
                         "table": self.bags_of(table),
                         "command": self.bags_of(command),
                         "output": str(output),
-                        **{key: list(band) for key, band in bands.items() if band},
                         **task.options,
                     },
                 )
@@ -296,30 +291,30 @@ class Runner:
         return {}
 
     def bag_of(self, test: str) -> str:
-        """The bag of a `test`: of this run, of one that it goes on with, or of another campaign by its path."""
+        """The bag of a `test`: a path, the bag of an earlier run that is continued, or that of this run."""
         if is_path(test):
             return test
         done = self.done.steps.get(test)
         return str(self.bags / test) if done is None or done.bag is None else done.bag
 
     def bags_of(self, tests: Sequence[str]) -> list[str]:
-        """The bags of some `tests`."""
+        """The bags of several `tests`."""
         return [self.bag_of(test) for test in tests]
 
     def models(self, model: str, *names: str) -> list[str]:
-        """The files of an identify step's model, those of `names`; of a model by its file: that one alone."""
+        """The files `names` of a `model`: an identify step or its folder; a model file stands for itself alone."""
         if model.endswith(MODEL_FILE):
             return [model]
         folder = Path(model) if is_path(model) else self.results / model
         return [str(folder / f"{name}{MODEL_FILE}") for name in names]
 
     def rig_behind(self, task: Task) -> tuple[Rig, bool]:
-        """The rig as it was in the tests behind a `task`, and whether its file says all of it."""
+        """The rig of the tests that a `task` uses, with its braces as connected there; whether it is simulated."""
         lab, test = self.laboratories.behind(task)
         return lab.rig.disconnect(test.disconnected_braces if test else ()), test is not None and lab.setup.simulated
 
     def rig_model(self, design: Design) -> tuple[Rig, list[str]]:
-        """The rig behind a design, and the file of the model that it has itself: none where nobody knows that."""
+        """The rig of a design's tests, and the file of its own model; only a simulated rig has one."""
         rig, simulated = self.rig_behind(design)
         if not simulated:
             return rig, []
@@ -328,13 +323,13 @@ class Runner:
         return rig, [str(path)]
 
     def loop_of(self, task: Validate) -> str | None:
-        """The controller that closes the loop of a `task`: that of the test, unless it is a node of the user's."""
+        """The controller with which a `task` simulates its test; None: no controller, or a user's node."""
         test = self.campaign.tests.get(task.test)
         controller = task.controller if test is None else test.controller
         return None if isinstance(controller, OwnController) else controller
 
     def facts(self, name: str, test: RigTest, lab: Laboratory, seed: int) -> dict[str, str]:
-        """What a test's bag says of its run; as in `run_test`."""
+        """The facts of a test for its bag: campaign, step, rig, controller, motions and seeds; as in `run_test`."""
         facts = {
             "campaign": self.campaign.name,
             "step": name,
@@ -369,7 +364,7 @@ class Runner:
         return facts
 
     def attachments(self, test: RigTest, lab: Laboratory) -> list[Path]:
-        """The files that a `test` in a `lab` is made of, for its bag: rig, device, controller, its model, record."""
+        """The files of a `test` in a `lab` that its bag contains: rig, device, controller, its model, record."""
         paths = [lab.rig_file]
         if lab.device_file is not None:
             paths += [path for path in (lab.device_file, calibration_of(lab.device_file)) if path is not None]

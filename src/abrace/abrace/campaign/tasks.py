@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a step of a campaign does: a test of the rig, or work on its bags."""
+"""The tasks of a campaign's steps: tests of the rig, and the offline steps that use their bags."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import pydantic
 
-from abrace.campaign.drives import BandedNoise, Excitation, GroundMotion
+from abrace.campaign.drives import Excitation, GroundMotion
 from abrace.campaign.names import (
     LAW_FILE,
     Band,
@@ -28,12 +28,6 @@ from abrace_core.config_file import Checked
 from abrace_core.errors import AbraceError
 from abrace_lqg.proof.files import DRAWS
 from abrace_lqg.proof.limits import Limits, Objection
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-LOWEST = 0.3
-"""Hz, from which tests are identified where no band is given: sensors drift, and a table hardly moves below."""
 
 
 def _program(run: object, info: pydantic.ValidationInfo) -> object:
@@ -57,25 +51,25 @@ Program = Annotated[tuple[Text, ...], pydantic.BeforeValidator(_program)]
 
 
 class OwnNode(Checked):
-    """A node of the user's: [package, executable], or a Python file; and its parameters."""
+    """A user's node: [package, executable], or a Python file; and its parameters."""
 
     run: Program
     parameters: Annotated[dict[Text, Any], pydantic.AfterValidator(_ros_values)] = {}
 
 
 class OwnController(OwnNode):
-    """A node that commands the braces; `name` is what tables and bags call it, the executable unless it is given."""
+    """A user's node that commands the braces; `name`: its name in tables and bags, by default the executable's."""
 
     name: Name | None = None
 
     @property
     def label(self) -> str:
-        """What it is called."""
+        """Its name in tables and bags."""
         return self.name or Path(self.run[-1]).stem
 
 
 class OwnRig(OwnNode):
-    """A node that serves as the rig that a rig file describes."""
+    """A user's node that serves as the rig of a rig file."""
 
     file: NameOrFile
 
@@ -95,10 +89,10 @@ def _different(groups: tuple[int, ...]) -> tuple[int, ...]:
 class RigTest(Checked):
     """A run of the live graph, recorded to a bag.
 
-    duration [s]; excitation of the braces [N], or a controller: an earlier design step, a controller file, or a node of
-    the user's; brace groups (1 the first) that are not connected; sensors that fail, as `a2=stuck@20.0`, and the seed
-    of the sensors' noise of a simulated rig; greatest force [N] of one brace of each group, and its rate [N/s]; rig,
-    device, emulator and lockstep where they are others than the campaign's.
+    duration [s]; excitation of the braces [N], or a controller: an earlier design step, a controller file, or a user's
+    node; disconnected brace groups (1 the first); simulated sensor faults, as `a2=stuck@20.0`, and the seed of the
+    simulated sensor noise; greatest force [N] of one brace of each group, and its rate [N/s]; rig, device, emulator and
+    lockstep if they differ from the campaign's.
     """
 
     duration: Positive
@@ -119,17 +113,17 @@ class RigTest(Checked):
 
     @property
     def controller_name(self) -> str:
-        """What tables and bags call its controller; empty: there is none."""
+        """Name of its controller in tables and bags; empty: no controller."""
         if isinstance(self.controller, OwnController):
             return self.controller.label
         return Path(self.controller).stem if self.controller else ""
 
 
 class Identify(Checked):
-    """A model from the bags of tests of the table alone, and of the commands alone, one or several of each.
+    """A model from the bags of tests with table motion alone and with commands alone, one or several of each.
 
-    The same tests for both: table and commands at once. Everything else are parameters of the node `identify`; a band
-    that is not given is that in which the tests are excited, from LOWEST Hz on.
+    The same tests may be given for both if table and braces were excited at once. All other keys are parameters of the
+    node `identify`.
     """
 
     table: Tests
@@ -152,34 +146,17 @@ class Identify(Checked):
 
     @property
     def options(self) -> dict[str, Any]:
-        """The parameters of the node `identify` that are given, but its tests."""
+        """The given parameters of the node `identify`, without its tests."""
         given = self.model_dump(exclude_none=True, exclude={"table", "command"})
         return {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
 
-    def band_of(self, key: str, tests: Sequence[RigTest]) -> tuple[float, float] | None:
-        """The band of `table` or `command`: as given, or that in which all its tests are excited; None: not known.
-
-        Parameters
-        ----------
-        key
-            "table" or "command".
-        tests
-            Those that it names; without any the band is known only if it is given.
-        """
-        given: tuple[float, float] | None = getattr(self, f"{key}_band")
-        drives = [test.ground_motion if key == "table" else test.excitation for test in tests]
-        bands = [drive.band for drive in drives if isinstance(drive, BandedNoise)]
-        if given is not None or not bands or len(bands) < len(drives):
-            return given
-        return max(LOWEST, *(band[0] for band in bands)), min(band[1] for band in bands)
-
 
 class Design(Checked):
-    """A controller from a model, with weights that are a name or a file.
+    """A controller from a model, with weights given by name or file.
 
-    model: an earlier identify step, the folder of one, or a model file; limits: what it has to keep, the defaults where
-    nothing is said; accept: objections in spite of which it is written; draws and draw_seed: models as likely as the
-    identified one, with which the limits have to be kept as well.
+    model: an earlier identify step, the folder of one, or a model file; limits: stability margins and other limits of
+    the design, with defaults; accept: objections that do not prevent the design; draws and draw_seed: number and seed
+    of models drawn from the uncertainty of the identified one, with which the design also has to meet the limits.
     """
 
     model: NameOrFile
@@ -197,7 +174,7 @@ class Design(Checked):
 
 
 class Ambient(Checked):
-    """Modes from tests without commands, and whether the building has changed since others; band [Hz]."""
+    """Modes from tests without commands, and whether the building has changed since the tests `before`; band [Hz]."""
 
     test: Tests
     before: Tests | None = None
@@ -205,17 +182,17 @@ class Ambient(Checked):
 
 
 class Compare(Checked):
-    """A test against the same test without control, as measured: no model is needed."""
+    """A measured test compared with the same test without control; needs no model."""
 
     test: NameOrFile
     uncontrolled: NameOrFile
 
 
 class Validate(Checked):
-    """A test against its simulation by a model, and against the same test without control where one is given.
+    """A test compared with its simulation by a model and, if given, with the same test without control.
 
-    The loop is closed as in the test, by its controller's file; a node of the user's is not simulated, its commands as
-    recorded drive the model.
+    The loop is closed as in the test, with its controller's file. A user's node is not simulated: its recorded commands
+    drive the model.
     """
 
     test: NameOrFile

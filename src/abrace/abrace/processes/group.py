@@ -36,7 +36,7 @@ def find_executable(package: str, executable: str) -> Path:
     Raises
     ------
     AbraceError
-        Saying which executables the package has, or which packages with executables there are.
+        If there is none; the message names the package's executables, or the packages that have executables.
     """
     if not prefixes():
         raise AbraceError("AMENT_PREFIX_PATH is not set: expected ros2_ws/setup.bash to be sourced first")
@@ -53,7 +53,7 @@ def find_executable(package: str, executable: str) -> Path:
 
 
 def packages_with_nodes() -> set[str]:
-    """The packages that have executables, but for ROS's own generators of messages."""
+    """The packages that have executables, without ROS's own message generators."""
     found = {marker.name for prefix in prefixes() for marker in (prefix / PACKAGE_MARKERS).glob("*")}
     return {package for package in found if not package.startswith("rosidl_") and executables(package)}
 
@@ -65,7 +65,7 @@ def executables(package: str) -> set[str]:
 
 
 def prefixes() -> list[Path]:
-    """The folders in which packages are installed, of AMENT_PREFIX_PATH."""
+    """The folders of AMENT_PREFIX_PATH, in which packages are installed."""
     return [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
 
 
@@ -79,11 +79,11 @@ class NodeDied(RunFailed):
     Parameters
     ----------
     name
-        What the node was called when it was started.
+        Name under which the node was started.
     returncode
         Its exit code, or minus the number of the signal that ended it.
     log_file
-        Where its output is.
+        The file with its output.
     last_lines
         The end of its output.
     """
@@ -112,7 +112,7 @@ class NodeProcess:
     def returncode(self) -> int | None:
         """Exit code, or minus the number of the signal that ended it; None while it runs."""
         if self._popen.returncode is None:
-            # the process is left unreaped, so that its group's number stays its own until `reap`
+            # the process is left unreaped, so that its group's number is not used again before `reap`
             ended = os.waitid(os.P_PID, self.group, os.WEXITED | os.WNOHANG | os.WNOWAIT)
             if ended is None:
                 return None
@@ -142,15 +142,16 @@ class NodeProcess:
 class ProcessGroup:
     """The processes of a test: a context manager that leaves none behind.
 
-    When the block ends, in whatever way, all are stopped, the last started first. An interruption of that stop (a
-    second Ctrl-C) kills them at once.
+    When the block ends, by an error or not, all are stopped, the last started first. A second Ctrl-C during that stop
+    kills them at once.
 
     Parameters
     ----------
     grace
-        Patience after SIGINT, and again after SIGTERM and SIGKILL, when a process is stopped [s].
+        Time to wait after SIGINT, and again after SIGTERM and SIGKILL, when a process is stopped [s].
     held
-        Open files that the guard holds too, such as a lock: until the last process has ended, kill -9 included.
+        Open files, such as a lock, that the guard inherits: they stay open until the last process has ended, even after
+        kill -9.
 
     Examples
     --------
@@ -205,13 +206,13 @@ class ProcessGroup:
         Parameters
         ----------
         name
-            What to call it; free again once it has been stopped.
+            Name of the process; can be used again once it has been stopped.
         argv
             Program and arguments.
         log_file
             Receives its output, errors included; an existing file is replaced.
         environment
-            Variables in addition to ours.
+            Variables in addition to this process's.
 
         Raises
         ------
@@ -220,13 +221,13 @@ class ProcessGroup:
         """
         log_file = Path(log_file)
         if name in self._processes:
-            raise AbraceError(f"cannot start {name}: a process of that name runs already")
+            raise AbraceError(f"cannot start {name}: a process of that name is already running")
         variables = {**os.environ, "PYTHONUNBUFFERED": "1", **(environment or {})}
         program = str(argv[0])
         if shutil.which(program, path=variables.get("PATH")) is None:
             raise AbraceError(f"cannot start {name}: {program}, expected a program")
         if self._guard.poll() is not None:
-            raise AbraceError(f"cannot start {name}: the guard process {self._guard.pid} was ended from outside")
+            raise AbraceError(f"cannot start {name}: the guard process {self._guard.pid} was ended by another program")
         try:
             log_file.parent.mkdir(parents=True, exist_ok=True)
             log = log_file.open("wb")
@@ -299,7 +300,7 @@ class ProcessGroup:
 
 
 class Terminated(SystemExit):
-    """SIGTERM or SIGHUP came; ends the program with the customary exit code, 128 and the signal's number."""
+    """SIGTERM or SIGHUP was received; ends the program with the usual exit code, 128 plus the signal's number."""
 
     def __init__(self, number: int) -> None:
         super().__init__(128 + number)
@@ -307,7 +308,7 @@ class Terminated(SystemExit):
 
 @contextlib.contextmanager
 def terminate_as_exception() -> Iterator[None]:
-    """Within the block SIGTERM and SIGHUP raise Terminated, so that every `with` ends orderly. Main thread alone.
+    """Raise Terminated on SIGTERM and SIGHUP within the block, so that every `with` cleans up; in the main thread only.
 
     A signal that was ignored before (nohup) stays ignored.
     """

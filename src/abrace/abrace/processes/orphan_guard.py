@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ends process groups; as a script, those of a `processes.ProcessGroup` whose owner died.
+"""Ends process groups; as a script, those of a `processes.ProcessGroup` whose own process has died.
 
-Its standard input names the process groups that run: `+1234` when one starts, `-1234` when it has ended. A node that is
+Its standard input lists the running process groups: `+1234` when one starts, `-1234` when it has ended. A node that is
 being started holds the other end of that pipe until it has written its own line. The input therefore ends only when the
-owner has ended (kill -9 included), and no node is missed. Only the standard library is needed.
+owner, the process with the ProcessGroup, has ended (kill -9 included), and no node is missed. Only the standard library
+is needed.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ POLL_PERIOD = 0.01
 
 
 def _runs_in(stat: Path, group: int) -> bool:
-    """Whether the process of this /proc/PID/stat belongs to the group and is no zombie."""
+    """Whether the process of this /proc/PID/stat belongs to the group and is not a zombie."""
     try:
         state, _, process_group = stat.read_bytes().rpartition(b")")[2].split()[:3]
     except (OSError, ValueError):
@@ -33,7 +34,7 @@ def _runs_in(stat: Path, group: int) -> bool:
 
 
 def is_running(group: int) -> bool:
-    """Whether any process of the process group still runs; a zombie does not."""
+    """Whether any process of the process group still runs; zombies do not count."""
     proc = Path("/proc")
     return _runs_in(proc / str(group) / "stat", group) or any(
         _runs_in(stat, group) for stat in proc.glob("[0-9]*/stat")
@@ -41,7 +42,7 @@ def is_running(group: int) -> bool:
 
 
 def send(group: int, number: signal.Signals) -> None:
-    """Send the signal `number` to every process of the `group`; nothing happens when it is gone."""
+    """Send the signal `number` to every process of the `group`; does nothing if the group has ended."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(group, number)
 
@@ -54,7 +55,7 @@ def end(groups: Iterable[int], grace: float) -> None:
     groups
         Process groups.
     grace
-        Patience after each signal [s].
+        Time to wait after each signal [s].
     """
     running = [group for group in groups if is_running(group)]
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
@@ -66,7 +67,7 @@ def end(groups: Iterable[int], grace: float) -> None:
 
 
 def main() -> None:
-    """Read the groups until the owner is gone, then end those that are left."""
+    """Read the groups until the owner has ended, then end those that still run."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     groups: set[int] = set()

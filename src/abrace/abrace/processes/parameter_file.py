@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def parameter_file(path: Path | str, parameters: Mapping[str, Any]) -> Path:
-    """Write parameters for one node to a ROS parameter file, each with the type that it has here.
+    """Write parameters for one node to a ROS parameter file, with the types of their Python values.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def parameter_file(path: Path | str, parameters: Mapping[str, Any]) -> Path:
     Raises
     ------
     AbraceError
-        If a value is none of these, is not finite, or is an empty list (which has no type in ROS).
+        If a value has another type, is not finite, or is an empty list (which has no type in ROS).
     """
     lines = [f"    {_quoted(name)}: {written(name, value)}\n" for name, value in parameters.items()]
     write_text(path, "/**:\n  ros__parameters:" + ("\n" + "".join(lines) if lines else " {}\n"))

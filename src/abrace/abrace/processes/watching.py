@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer beside a campaign: a page in the browser that shows the building, while it runs and afterwards."""
+"""Starting the viewer of a campaign or a bag: a page in the browser that shows the building in motion."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ if TYPE_CHECKING:
     from abrace.processes.group import NodeProcess
 
 VIEWER = "abrace_bringup/viewer"
-"""Package and executable; of the floor above: it is found when it is asked for, and nothing else needs it."""
+"""Package and executable, in the layer above this package: it is looked up when it is started, never imported."""
 PATIENCE = 30.0
-"""Seconds in which it has to listen."""
+"""Seconds within which the viewer has to accept connections."""
 POLL = 0.1
-"""Seconds between looks whether it does."""
+"""Seconds between checks of the viewer's output."""
 _LISTENS = re.compile(r"^viewer: (\S+) in a browser.*:(\d+)$", re.MULTILINE)
 
 
 @contextmanager
 def watched(rig_file: Path, parameters: Sequence[str] = ()) -> Iterator[None]:
-    """Show the running graph on a page meanwhile, and open that where this machine has a desktop.
+    """Show the running graph on a page within the block; opens a browser if this machine has a desktop.
 
     Parameters
     ----------
     rig_file
-        Of the rig that is drawn.
+        File of the rig to draw.
     parameters
-        Further ones of the viewer, each as name:=value.
+        Further parameters of the viewer, each as name:=value.
 
     Raises
     ------
     RunFailed
-        If the viewer does not begin.
+        If the viewer does not start.
     """
     with _viewer(f"rig:={rig_file.resolve()}", *parameters) as (url, _):
         print(f"watch: {url}", file=sys.stderr, flush=True)
@@ -54,12 +54,12 @@ def watched(rig_file: Path, parameters: Sequence[str] = ()) -> Iterator[None]:
 
 
 def watch_bag(bag: Path) -> None:
-    """Play a `bag` on the page, by the clock, again and again until Ctrl-C.
+    """Play a `bag` on the page in real time, in a loop until Ctrl-C.
 
     Raises
     ------
     RunFailed
-        If the viewer does not begin, or ends.
+        If the viewer does not start, or ends by itself.
     """
     with _viewer(f"bag:={bag.resolve()}") as (url, group):
         print(f"watch: {url} shows {bag}, until Ctrl-C", file=sys.stderr, flush=True)
@@ -71,7 +71,7 @@ def watch_bag(bag: Path) -> None:
 
 @contextmanager
 def _viewer(*parameters: str) -> Iterator[tuple[str, ProcessGroup]]:
-    """A viewer with `parameters`; gives where its page is, and what holds its process."""
+    """Start a viewer with `parameters`; gives the URL of its page, and the group with its process."""
     package, executable = VIEWER.split("/")
     command: list[str | Path] = [find_executable(package, executable), "--ros-args"]
     command += [word for parameter in parameters for word in ("-p", parameter)]
@@ -81,12 +81,12 @@ def _viewer(*parameters: str) -> Iterator[tuple[str, ProcessGroup]]:
 
 
 def _listening(viewer: NodeProcess) -> str:
-    """Wait until the viewer listens; where its page is."""
+    """Wait until the viewer accepts connections; returns the URL of its page."""
     deadline = time.monotonic() + PATIENCE
     while not (found := _LISTENS.search(viewer.log_file.read_text(encoding="utf-8", errors="replace"))):
         if viewer.returncode is not None:
             raise viewer.died()
         if time.monotonic() > deadline:
-            raise RunFailed(f"the viewer did not listen within {PATIENCE:g} s")
+            raise RunFailed(f"the viewer did not start within {PATIENCE:g} s")
         time.sleep(POLL)
     return found[1]
