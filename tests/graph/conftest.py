@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A machine that is held up for 20 ms is a fault by the clock, and has to be: a test it broke off is repeated."""
+    """Repeat a test in which the machine was blocked for 20 ms: in real time that is, rightly, a fault of the rig."""
     for item in items:
         if item.path.is_relative_to(Path(__file__).parent):
             item.add_marker(pytest.mark.flaky(reruns=3, only_rerun=list(HELD_UP)))
@@ -32,7 +32,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
-    """A ROS domain that no other test run on this machine uses, in our environment and the nodes'."""
+    """A ROS domain that no other test run on this machine uses, for this process and the nodes."""
     with domain_coordinator.domain_id() as number, pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(number))
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -74,12 +74,12 @@ def new_graph(
 
 @pytest.fixture
 def graph(new_graph: Callable[[], contextlib.AbstractContextManager[Graph]]) -> Iterator[Graph]:
-    """A graph of the test's own."""
+    """A new graph for the test."""
     with new_graph() as fresh:
         yield fresh
 
 
 @pytest.fixture(scope="session")
 def new_commander() -> type[Commander]:
-    """Makes the hand at a rig's braces."""
+    """Makes a `Commander` of a rig's braces."""
     return Commander

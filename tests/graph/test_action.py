@@ -93,8 +93,10 @@ def test_a_cancelled_motion_comes_smoothly_to_rest(player):
     assert "cancelled" in ended.result.message
     assert 0 < ended.result.samples < 15000
     count = len(player.responses) + 50
-    player.graph.until(lambda: len(player.responses) > count, "more responses")
-    assert np.abs(player.ground[-20:]).max() < 0.01
+    # on a busy machine the samples from before the end are still coming
+    player.graph.until(
+        lambda: len(player.responses) > count and np.abs(player.ground[-20:]).max() < 0.01, "the table at rest"
+    )
     # of what was sent: on a busy machine the rig may take two of them as one step
     sent = np.array([message.accel.linear.x for message in player.played])
     assert sent[-1] == 0

@@ -40,6 +40,8 @@ def test_signals_end_every_node_cleanly_and_the_bag_is_closed(graph, number, sto
             os.kill(graph.started[name].group, number)
         assert graph.ended(name) == 0, graph.output_of(name)
         assert "Traceback" not in "\n".join(graph.output_of(name))
+        # at once, not after the 20 s in which nothing is heard from a killed one
+        graph.until(lambda name=name: name not in graph.node.get_node_names(), f"{name} to leave the graph", 10.0)
     assert (bag / "metadata.yaml").is_file()
     assert sum(len(run.outputs) for run in read_runs(bag)) > 100
 

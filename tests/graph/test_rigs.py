@@ -11,6 +11,10 @@ from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import get_parameter_value
 
+from abrace.benchmark.definition import Case, load_definition
+from abrace.benchmark.frame_benchmark import FrameBenchmark
+from abrace.benchmark.laws import designed
+from abrace.benchmark.recorded import recorded
 from abrace_bags import read_run, read_topics
 from abrace_core.controller_file import Controller, save_controller
 from abrace_core.node import find_file
@@ -35,12 +39,14 @@ def rig_named(name: str) -> Rig:
     return load_rig(find_file(name, "abrace_plant", "config", ".yaml", "rig"))
 
 
-def record(graph: Any, rig: str, commander: str, *arguments: Path, **parameters: object) -> Path:
-    """A lockstep run of a rig with white noise on its table and a commander at its braces."""
-    bag = graph.folder / "bag"
-    graph.start("logger", output=str(bag), topics=list(TOPICS), facts=["sample_period=0.002"])
+def record(
+    graph: Any, rig: str, commander: str, *arguments: Path, motion: str = "white_noise", **parameters: object
+) -> Path:
+    """A lockstep run of a rig with a motion of its table and a commander at its braces."""
+    bag, rate = graph.folder / "bag", rig_named(rig).sample_rate
+    graph.start("logger", output=str(bag), topics=list(TOPICS), facts=[f"sample_period={1 / rate:g}"])
     graph.start("plant", autostart=False, rig=rig, lockstep=True, wait_for=list(TOPICS[1:]), duration=SECONDS, seed=1)
-    graph.start("ground_motion", record="white_noise", duration=SECONDS)
+    graph.start("ground_motion", record=motion, duration=SECONDS, rig=rig, sample_rate=rate)
     graph.start(commander, *arguments, **parameters)
     assert graph.change_state("plant", "configure")
     graph.until_matched("plant", response=3, brace_command=1, ground_motion=1)
@@ -94,6 +100,22 @@ def test_a_controller_of_its_own_controls_any_rig(graph, name, tmp_path):
     bag = record(graph, name, "controller", "--params-file", file)
     expect_lengths(bag, *RIGS[name])
     assert (np.abs(read_run(bag).command).max(axis=0) > 0).all(), "each group is at work"
+
+
+def test_the_20_storey_building_moves_in_the_graph_as_its_frame_does_offline(graph, tmp_path):
+    definition = load_definition("sac_la_20")
+    whole = Case(record="el_centro", intensity=1.0)
+    benchmark = FrameBenchmark(definition.model_copy(update={"cases": [whole], "duration": SECONDS}), noise_seed=1)
+    law = designed(benchmark, definition.weights)
+    ((_, offline),) = benchmark.evaluate(law).values()
+    file = tmp_path / "controller.yaml"
+    save_controller(law, file)
+    bag = record(graph, "sac_la_20", "controller", "--params-file", file, motion="el_centro", rate_limit=1e9)
+    expect_lengths(bag, 20, tuple(definition.devices.per_storey))
+    found = recorded(benchmark, read_run(bag))
+    for measured, told, share in ((found.displacement, offline.displacement, 0.05), (found.force, offline.force, 0.3)):
+        samples = min(len(measured), len(told))
+        assert np.abs(measured[:samples] - told[:samples]).max() < share * np.abs(told).max()
 
 
 def test_a_rig_with_its_braces_off_is_the_bare_frame(graph):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Imports go from higher to lower layers, without cycles of modules or subpackages; only nodes import ROS."""
 
+import subprocess
 import sys
 
 import pytest
@@ -73,3 +74,10 @@ def test_launch_files_need_what_every_machine_with_launch_has(name):
     """They run in the system's Python, which has an older pydantic than our nodes, and no mcap."""
     outside = {each.partition(".")[0] for each in MODULES[name].imports} - set(sys.stdlib_module_names) - set(FLOORS)
     assert outside <= {"yaml", "launch", "launch_ros", "ament_index_python"}
+
+
+@pytest.mark.parametrize("name", ["abrace_bags.nodes.logger", "abrace_lqg.nodes.controller"])
+def test_a_node_of_every_test_does_not_wait_for_scipy(name):
+    """Its import takes as long as that of all the rest of a logger."""
+    code = f"import sys, {name}; sys.exit('scipy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0

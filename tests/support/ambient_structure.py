@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A frame in the wind: white forces on its floors that nobody measures, accelerometers on them."""
+"""A frame under ambient excitation: white forces on its floors, which are not measured, and accelerometers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NOISE = 3.4e-4
 
 
 def weakened(rig: Rig, storey: int, share: float) -> Rig:
-    """The rig with so much less of the stiffness that its lowest storeys give: of `storey`, by a `share`."""
+    """The rig with the stiffness of a `storey` reduced by a `share`."""
     stiffness = rig.building.stiffness.copy()
     floors = len(stiffness)
     direction = np.zeros(floors)
@@ -45,7 +45,7 @@ class AmbientStructure:
     Parameters
     ----------
     rig
-        Its building is the frame.
+        The rig with the frame.
     """
 
     def __init__(self, rig: Rig) -> None:

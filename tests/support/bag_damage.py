@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that are cut off or damaged: what is read is right, nearly all that is whole is read, the rest is reported.
+"""Truncated and damaged bags: the share of intact messages that is read, wrong messages, and unreported losses.
 
-A bag's file is cut at random lengths, and copies of it get one flipped bit at random places. Each is read; every
-message that comes must be one of the bag's. Whole are the messages of chunks that the damage does not touch.
+A bag's file is truncated at random lengths, and copies of it get one flipped bit at random places. Each copy is read;
+every message read must be one of the bag's. Messages are intact if the damage does not touch their chunk.
 
-damaged_files   files read: as many cut off as with a flipped bit
+damaged_files   files read: equal numbers of truncated ones and of ones with a flipped bit
 tracebacks      reads that ended with another error than an AbraceError
-wrong_values    messages read that are not in the bag, or come twice
+wrong_values    messages read that are not in the bag, or were read twice
 unreported      topics with missing messages that no warning and no error names
-least_read      least fraction of the whole messages of one file that was read
-read_fraction   fraction of the whole messages of all files that was read
+least_read      least share of the intact messages of one file that was read
+read_fraction   share of the intact messages of all files that was read
 
 python tests/support/bag_damage.py BAG
 """
@@ -40,7 +40,7 @@ SEED = 6
 
 
 def damage(bag: Path, cuts: int = 1000, flips: int = 1000, shown: Step | None = None) -> dict[str, Any]:
-    """Read `bag`, of a single file, cut off `cuts` times and with a flipped bit `flips` times."""
+    """Read `bag`, which has a single file, with `cuts` random truncations and `flips` random flipped bits."""
     (path,) = bag.glob("*.mcap")
     content = path.read_bytes()
     contents = read_topics(path)
@@ -101,7 +101,7 @@ def read_damaged(path: Path, whole: dict[str, NDArray[np.uint64]]) -> tuple[dict
 
 
 def fingerprints(messages: TopicArrays) -> NDArray[np.uint64]:
-    """(messages,) a number that tells each message from any other, in all that is read of it."""
+    """(messages,) a number for each message, different for messages of different content."""
     columns = [messages.log_time.astype("<i8"), messages.publish_time.astype("<i8")]
     for values in messages.fields.values():
         if values.dtype.kind in "OU":
@@ -120,7 +120,7 @@ def fingerprints(messages: TopicArrays) -> NDArray[np.uint64]:
 
 
 def chunk_messages(path: Path) -> list[tuple[int, int, int]]:
-    """First byte of each chunk, the one behind its last, and its number of messages, as `mcap` finds them."""
+    """For each chunk: offset of its first byte, offset after its last byte, number of messages, as read by `mcap`."""
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
         assert summary is not None

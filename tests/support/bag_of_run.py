@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A test of a rig as a bag, without ROS."""
+"""Writes a simulated test of a rig to a bag, without ROS."""
 
 from __future__ import annotations
 

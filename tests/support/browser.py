@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A page opened in headless Chromium: what it has drawn, what its console said, and how it prints."""
+"""Opens a page in headless Chromium: its content, its console messages, and its print."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-"""The browser of this machine; None: there is none."""
+"""The browser of this machine; None: not installed."""
 PATIENCE_MS = 30_000
-"""Of the page's own clock, which runs on whenever the page has nothing to do."""
+"""Limit of the page's virtual time, which advances while the page is idle [ms]."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class Opened:
     Parameters
     ----------
     content
-        Its HTML after all was drawn.
+        Its HTML after everything was drawn.
     console
-        Lines that it wrote to the console, errors included.
+        Lines of its console, errors included.
     """
 
     content: str
@@ -36,20 +36,20 @@ class Opened:
 
     @property
     def drawn(self) -> dict[str, int]:
-        """By the name of each figure's place how many curves, bars and marks are drawn there."""
+        """Number of curves, bars and marks in each figure, by the name of its element."""
         places = re.split(r'<div data-figure="', self.content)[1:]
         marks = r'<path class="(?:js-line|js-fill|point)|<g class="(?:points|lines|fills)'
         return {place.partition('"')[0]: len(re.findall(marks, place)) for place in places}
 
 
 def open_page(path: Path) -> Opened:
-    """Open the page in a file, until it has nothing more to do."""
+    """Open the page in a file and wait until it is idle."""
     done = _chromium(path, "--dump-dom", "--enable-logging=stderr")
     return Opened(done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line])
 
 
 def printed_pages(path: Path, pdf: Path) -> int:
-    """Print the page in a file to a `pdf`; how many sheets it has."""
+    """Print the page in a file to a `pdf`; returns the number of sheets."""
     _chromium(path, f"--print-to-pdf={pdf}", "--no-pdf-header-footer")
     return len(re.findall(rb"/Type\s*/Page\b(?!s)", pdf.read_bytes()))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A campaign file of some steps, and what is wrong in one."""
+"""Writes a campaign file with given steps, and collects the mistakes reported for one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def day(folder: Path, *steps: str, top: str = TOP) -> Path:
 
 
 def mistakes_of(path: Path, read: Callable[[Path], object]) -> list[str]:
-    """What `read` says is wrong in a campaign file, line by line, without the name of the file."""
+    """The mistakes that `read` reports for a campaign file, line by line, without the name of the file."""
     with pytest.raises(AbraceError) as raised:
         read(path)
     return [line.removeprefix(f"campaign file {path}: ") for line in str(raised.value).splitlines()]

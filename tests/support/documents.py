@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The documents: their pages, code blocks, commands and headings, for tests that check and run what they say."""
+"""The documentation's pages, code blocks, commands and headings, for tests that check and run them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
-"""Every page that people read."""
+"""Every page of the documentation."""
 GENERATED = [path.stem.removeprefix("write_") for path in sorted((ROOT / "docs").glob("write_*.py"))]
 """Pages made from the code, by docs/write_NAME.py."""
 HEADS = ("abrace", "ros2", "make", "python", "source")
@@ -19,14 +19,14 @@ HEADS = ("abrace", "ros2", "make", "python", "source")
 
 
 class Block(NamedTuple):
-    """A code block: what its fence says (empty: nothing, or an indented block), and its lines."""
+    """A code block: the language of its fence (empty: none, or an indented block), and its lines."""
 
     language: str
     text: str
 
     @property
     def name(self) -> str:
-        """Of the file that it is, as its first line says (`# my_rig.yaml`); empty: of none."""
+        """Name of the file that it shows, from its first line (`# my_rig.yaml`); empty: none."""
         found = re.match(r"# (\S+\.(?:yaml|py))\n", self.text)
         return found[1] if found else ""
 
@@ -58,14 +58,14 @@ def blocks(page: Path) -> list[Block]:
 
 
 def _end(indented: list[str], found: list[Block]) -> None:
-    """The indented block, if there is one, is over."""
+    """End the indented block, if there is one."""
     if indented:
         found.append(Block("", textwrap.dedent("\n".join([*indented, ""]))))
         indented.clear()
 
 
 def commands(page: Path) -> list[str]:
-    """The commands in the blocks of a page, comments behind them left out; one over several lines is one."""
+    """The commands in the blocks of a page, without comments; continued lines are joined."""
     found = []
     for block in blocks(page):
         if block.language in ("", "bash"):
@@ -87,7 +87,7 @@ def inline_commands(page: Path) -> list[str]:
 
 @cache
 def anchors(page: Path) -> set[str]:
-    """What a link to a heading of the page may say behind its #."""
+    """The anchors of the page's headings, as in links after the #."""
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     headings = re.findall(r"^#{1,4} (.+)$", text, re.MULTILINE)
     plain = (re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).lower() for heading in headings)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Headless Chromium that is driven: pages opened, clicked, typed into, asked; by its DevTools protocol."""
+"""Drives headless Chromium by its DevTools protocol: opens pages, clicks, types, and evaluates expressions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class DrivenBrowser:
     Parameters
     ----------
     options
-        Further ones of its command line.
+        Further command line options.
     """
 
     def __init__(self, *options: str) -> None:
@@ -89,7 +89,7 @@ class DrivenBrowser:
         self._profile.cleanup()
 
     def open(self, url: str) -> Tab:
-        """A page in a tab of its own."""
+        """Open a page in a new tab."""
         target = self.command("Target.createTarget", url="about:blank")["targetId"]
         session = self.command("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         tab = self.tabs[session] = Tab(self, session, target)
@@ -99,7 +99,7 @@ class DrivenBrowser:
         return tab
 
     def frames(self) -> list[str]:
-        """What is in the frames of other sites, by its address: that of an error, where the site refuses."""
+        """The addresses of the pages in frames of other sites; an error page's if the site refuses to be framed."""
         targets = self.command("Target.getTargets")["targetInfos"]
         found = []
         for target in (one["targetId"] for one in targets if one["type"] == "iframe"):
@@ -118,7 +118,7 @@ class DrivenBrowser:
         return number
 
     def command(self, method: str, session: str = "", **parameters: Any) -> dict[str, Any]:
-        """Send a command; returns what it gives."""
+        """Send a command; returns its result."""
         number = self.send(method, session, **parameters)
         while number not in self._answers:
             self._receive()
@@ -142,7 +142,7 @@ class Tab:
     def __init__(self, browser: DrivenBrowser, session: str, target: str) -> None:
         self._browser, self._session, self._target = browser, session, target
         self.errors: list[str] = []
-        """What its console says of errors, and what the browser refuses."""
+        """Errors in its console, and requests that the browser refused."""
 
     def note(self, method: str, parameters: dict[str, Any]) -> None:
         """An event of its own."""
@@ -179,7 +179,7 @@ class Tab:
         self.until(f"{element} !== null && {element}.innerText.includes({json.dumps(words)})")
 
     def middle(self, selector: str) -> tuple[float, float]:
-        """The middle of an element, which is scrolled to where it can be."""
+        """The centre of an element, which is scrolled into view."""
         element = f"document.querySelector({json.dumps(selector)})"
         box = self.evaluate(
             f"(() => {{ const e = {element}; e.scrollIntoViewIfNeeded(); const b = e.getBoundingClientRect();"
@@ -194,7 +194,7 @@ class Tab:
             self.mouse(event, x, y)
 
     def mouse(self, event: str, x: float, y: float, wait: bool = True) -> None:
-        """An `event` of the left mouse button; `wait` until the page has taken it."""
+        """Send an `event` of the left mouse button; `wait` until the page has handled it."""
         parameters = {"type": event, "x": x, "y": y, "button": "left", "clickCount": 1}
         act = self._browser.command if wait else self._browser.send
         act("Input.dispatchMouseEvent", self._session, **parameters)
@@ -206,7 +206,7 @@ class Tab:
         self.command("Input.dispatchKeyEvent", type="keyUp", key=key, windowsVirtualKeyCode=KEYS[key])
 
     def screenshot(self, path: Path) -> None:
-        """What it shows, as PNG."""
+        """A screenshot, as PNG."""
         path.write_bytes(base64.b64decode(self.command("Page.captureScreenshot", format="png")["data"]))
 
     def close(self) -> None:

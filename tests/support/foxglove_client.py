@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A viewer, as Foxglove and Lichtblick are: it connects to a server of their protocol and subscribes."""
+"""A client of the Foxglove WebSocket protocol, as used by Foxglove and Lichtblick."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class FoxgloveClient:
     Parameters
     ----------
     port
-        Of the server on this machine.
+        Port of the server on this machine.
     """
 
     def __init__(self, port: int) -> None:
@@ -40,11 +40,11 @@ class FoxgloveClient:
         self._subscriptions: dict[int, str] = {}
         self._calls = 0
         self.channels: dict[str, dict[str, Any]] = {}
-        """What the server has advertised, by topic."""
+        """The channels that the server has advertised, by topic."""
         self.services: dict[str, dict[str, Any]] = {}
         """Its services, by name."""
         self.messages: defaultdict[str, list[tuple[int, bytes]]] = defaultdict(list)
-        """What has come, by topic: time [ns] and bytes."""
+        """Received messages by topic: time [ns] and bytes."""
         self.said: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
         """Other messages of the server, by their `op`."""
         self.answers: dict[int, bytes] = {}

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two hosts on one machine: network namespaces with an Ethernet link between them, and no shared memory in common.
+"""Two hosts on one machine: network namespaces with an Ethernet link between them, without common shared memory.
 
-As root, where there are `ip`, `unshare`, `nsenter` and /dev/net/tun.
+Requires root, `ip`, `unshare`, `nsenter` and /dev/net/tun.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _HOST = ["unshare", "--net", "--mount", "sh", "-c", _HOLD]
 
 
 def missing() -> str:
-    """Why there can be no two hosts on this machine; empty: there can."""
+    """The reason why two hosts are not possible on this machine; empty: they are possible."""
     if os.geteuid():
         return "network namespaces need root"
     if lacking := [name for name in ("ip", "unshare", "nsenter") if shutil.which(name) is None]:
@@ -50,13 +50,13 @@ def _held(stack: contextlib.ExitStack, command: list[str]) -> int:
 
 
 class Link:
-    """The link between the hosts, by the socket of `link.py`; it may be used from either host."""
+    """Controls the link between the hosts by the socket of `link.py`; may be used from either host."""
 
     def __init__(self, path: Path | str) -> None:
         self._path = str(path)
 
     def set(self, **conditions: float) -> None:
-        """Have these conditions from now on: `delay`, `jitter` [s], `loss` (share), `cut`; those left out are none."""
+        """Set the link's conditions: `delay`, `jitter` [s], `loss` (share), `cut`; those not given are reset."""
         with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
             asking.bind(f"{folder}/answer")
             asking.settimeout(5.0)
@@ -65,7 +65,7 @@ class Link:
 
 
 def on(host: int) -> list[str]:
-    """What to put before a command, so that it runs on a host, by the number of its process."""
+    """The prefix with which a command runs on a host, given by the number of its process."""
     return ["nsenter", "--target", str(host), "--net", "--mount", f"--wd={Path.cwd()}"]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A folder and a ROS domain of its own for what a benchmark starts, and nothing left of a process that it kills."""
+"""Isolates a benchmark: a folder and a ROS domain of its own, and removal of the shared memory of killed processes."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 
 def own_shared_memory(process: int) -> list[Path]:
-    """Files of shared memory that the middleware of a process, by its number, leaves when it is killed.
+    """Shared memory files of a process's middleware, which remain when the process, given by its number, is killed.
 
-    It has those of others open as well, who live on: its own are the ones that it holds locked.
+    The process also has files of other, living processes open: its own are those that it has locked.
     """
     opened = [str(entry.readlink()) for entry in Path(f"/proc/{process}/fd").iterdir()]
     locks = [name for name in opened if re.fullmatch(r"/dev/shm/fastrtps_[0-9a-f]{16}_el", name)]
@@ -28,7 +28,7 @@ def own_shared_memory(process: int) -> list[Path]:
 
 @contextlib.contextmanager
 def isolated() -> Iterator[Path]:
-    """Work in a new folder and on a domain that nobody else on this machine uses; gives the folder from before."""
+    """Work in a new folder and on a domain that no other process of this machine uses; gives the previous folder."""
     here = Path.cwd()
     with tempfile.TemporaryDirectory() as folder, domain_id() as domain:
         os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")

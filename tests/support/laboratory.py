@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A laboratory without ROS: tests of a rig, simulated and read by its sensors, as recorded Runs.
+"""A laboratory without ROS: simulated tests of a rig with its sensors, as recorded Runs.
 
-For the tests of identification and for `make verify`, which need more tests than anyone would record.
+Used by the tests of identification and by `make verify`, which need many records.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ class Laboratory:
     Parameters
     ----------
     rig
-        The rig; its sensors' noise, range and steps are in the records. It is linear, and without limits; one that has
-        effects which a linear model leaves out is stepped with all of them.
+        The rig; records have its sensors' noise, range and resolution. A rig without nonlinear effects is simulated as
+        linear and without limits, a rig with such effects with all of them.
     seed
-        Of noise and excitation.
+        Seed of sensor noise and excitation.
     """
 
     def __init__(self, rig: Rig, seed: int = 0) -> None:
@@ -58,7 +58,7 @@ class Laboratory:
         return Run(source, period, sequence, *shape, readings[:, :-1], readings[:, -1], command_until, braces=braces)
 
     def _stepped(self, source: str, ground: Array, command: Callable[[int, Array], Array]) -> Run:
-        """A test of a rig as it is: in force from sample k on is the `command` of k and the outputs at sample k - 1."""
+        """A test of a rig with nonlinear effects; `command` gives the command at k from k and the outputs at k - 1."""
         motion, acting = RigMotion(self.rig), np.zeros(self.rig.groups)
         outputs, until = np.zeros((len(ground), len(self.model.outputs))), np.zeros((len(ground), len(acting)))
         table = np.zeros(len(ground))
@@ -80,7 +80,7 @@ class Laboratory:
     def closed_loop(self, source: str, ground: Array, controller: LinearModel, correction: Array | None = None) -> Run:
         """A test in which a discrete `controller` commands, within the rig's capacity; its name is `source`.
 
-        `correction` is the controller's, as in `simulate_closed_loop`; a rig as it is knows none.
+        `correction` is the controller's, as in `simulate_closed_loop`; not used for a rig with nonlinear effects.
         """
         if self.as_it_is:
             state, measured = np.zeros(controller.order), [self.model.outputs.index(n) for n in controller.inputs]
@@ -96,7 +96,7 @@ class Laboratory:
         return self._run(source, outputs, ground, command)
 
     def table_test(self, seconds: float, rms: float = 0.25) -> Run:
-        """White noise on the table, the command zero."""
+        """White noise on the table, zero command."""
         noise = self._noise(seconds, 10.0, rms, 1000 + self.seed)
         return self.open_loop("bags/table", noise, 0 * noise)
 
@@ -106,7 +106,7 @@ class Laboratory:
         return self.open_loop("bags/command", 0 * noise, noise)
 
     def multisine_test(self, table: bool, command: bool, periods: int = 5, period: float = 32.768) -> Run:
-        """Multisines on the table (odd lines), as command (even lines beside the table's, else odd), or both."""
+        """Multisines on the table (odd lines), as command (even lines if also on the table, otherwise odd), or both."""
         duration, rate = periods * period, 500.0
         still = np.zeros(round(duration * rate))
         lines = "even" if table and command else "odd"
@@ -121,7 +121,7 @@ class Laboratory:
     def earthquake(
         self, controller: LinearModel | None = None, seconds: float = 40, correction: Array | None = None
     ) -> Run:
-        """A noise that rises and decays as an earthquake does, at 0.1 g, with a controller or zero command."""
+        """A noise with the envelope of an earthquake, at 0.1 g, with a controller or zero command."""
         samples = int(seconds * 500)
         time = np.arange(samples) / 500
         rise_and_decay = np.minimum(time / 2, 1) * np.exp(-np.maximum(time - 8, 0) / 8)

@@ -4,8 +4,8 @@
     python link.py PROCESS PROCESS SOCKET
 
 Each end is a TAP device in the namespace of a process, by its number; frames pass from one to the other through this
-program. The Unix datagram socket takes conditions as JSON, {"delay": s, "jitter": s, "loss": share, "cut": bool}, those
-left out are none, and answers when they hold. The kernel's own netem is not in every kernel.
+program. The Unix datagram socket takes conditions as JSON, {"delay": s, "jitter": s, "loss": share, "cut": bool}, with
+defaults of zero and false, and answers when they are in effect. (netem is not available in every kernel.)
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ TUNSETIFF = 0x400454CA
 TAP_WITHOUT_HEADER = 0x1002
 LARGEST = 2048
 PRIORITY = 60
-"""Above that of the nodes: what is measured is the link."""
+"""Priority above that of the nodes, so that the link's delays are exact."""
 
 
 def open_end(process: int, address: str) -> int:
@@ -53,7 +53,7 @@ class Direction:
         self._waiting: deque[tuple[float, bytes]] = deque()
 
     def take(self, conditions: dict[str, float], now: float) -> None:
-        """Read what has come."""
+        """Read the frames that have arrived."""
         while True:
             try:
                 frame = os.read(self.source, LARGEST)
@@ -67,7 +67,7 @@ class Direction:
             self._waiting.append((due, frame))
 
     def give(self, now: float) -> float | None:
-        """Write what is due; returns when the next frame is."""
+        """Write the frames that are due; returns the time at which the next one is due."""
         while self._waiting and self._waiting[0][0] <= now:
             try:
                 os.write(self._target, self._waiting.popleft()[1])
@@ -76,7 +76,7 @@ class Direction:
         return self._waiting[0][0] if self._waiting else None
 
     def lose(self) -> None:
-        """What is on its way is lost."""
+        """Drop the frames in transit."""
         self._waiting.clear()
 
 

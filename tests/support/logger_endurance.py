@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The logger under load: three topics on a machine with a loaded core, floods, `kill -9` and power losses.
 
-For `make verify` and `make soak`, and in short for `make test`. Run as a program it is the bare subscription that
-floods are compared with: it writes nothing.
+For `make verify` and `make soak`, and in a short form for `make test`. Run as a program it is the bare subscription
+with which floods are compared: it counts messages and writes nothing.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Publishers:
                 self.matched.update((entry.key, entry.value) for entry in status.values)
 
     def wait_for_match(self, topics: Sequence[str]) -> None:
-        """Wait until the subscriber reports that it is matched with us, and we with it."""
+        """Wait until subscriber and publishers are matched, as both report."""
         deadline = time.monotonic() + PATIENCE
         while not all(
             self.matched.get(f"publishers of {topic}") == "1" and self.publishers[topic].get_subscription_count() == 1
@@ -94,7 +94,7 @@ class Publishers:
             self.executor.spin_once(timeout_sec=0.02)
 
     def publish(self, rate: float, duration: float, topics: Sequence[str]) -> float:
-        """Publish at this rate [Hz] for that time [s], every message at its own time; returns the rate reached."""
+        """Publish at a rate [Hz] for a time [s], each message at its due time; returns the rate reached."""
         chosen = [self.topics[topic] for topic in topics]
         begin = time.monotonic()
         for k in range(round(rate * duration)):
@@ -109,7 +109,7 @@ class Publishers:
         return round(rate * duration) / (time.monotonic() - begin)
 
     def wait_for_receipt(self) -> None:
-        """Wait until the subscriber's middleware has everything; where a message was lost it is sent again."""
+        """Wait until the subscriber's middleware has acknowledged all messages; lost ones are sent again."""
         for topic, publisher in self.publishers.items():
             if not publisher.wait_for_all_acked(Duration(seconds=PATIENCE)):
                 raise AbraceError(f"{topic} was not received whole within {PATIENCE:g} s")
@@ -137,7 +137,7 @@ def publishers() -> Iterator[tuple[Publishers, Path]]:
 def running(
     command: Sequence[str], log: Path, environment: dict[str, str] | None = None
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """A process, in our environment or another, that is killed at the end where it still runs."""
+    """A process, in this environment or another, that is killed at the end if it still runs."""
     with log.open("wb") as output:
         process = subprocess.Popen(
             command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, env=environment
@@ -156,7 +156,7 @@ def logger_command(namespace: str, bag: Path, topics: Sequence[str], *parameters
 
 
 def stop(process: subprocess.Popen[bytes], log: Path) -> str:
-    """End a process that does so by itself on SIGINT; returns its output."""
+    """End a process by SIGINT; returns its output."""
     process.send_signal(signal.SIGINT)
     code = process.wait(PATIENCE)
     output = log.read_text(errors="replace")
@@ -182,7 +182,7 @@ def recorded(bag: Path, namespace: str) -> dict[str, tuple[np.ndarray, np.ndarra
 
 
 def kills(count: int, seed: int = 1, shown: Step | None = None) -> dict[str, Any]:
-    """Kill so many loggers, each at a random moment of its first two seconds of messages.
+    """Kill loggers, each at a random moment of its first two seconds of messages.
 
     `missing`: messages that a bag lacks before its end. `worst_gap_seconds`: from a bag's last message to the kill.
     """
@@ -219,10 +219,10 @@ def kills(count: int, seed: int = 1, shown: Step | None = None) -> dict[str, Any
 def power_losses(
     count: int, loggers: int = 5, duration: float = 6.0, seed: int = 1, shown: Step | None = None
 ) -> dict[str, Any]:
-    """Lose the power at so many random moments: while a logger records, splits its bag and closes it, or just after.
+    """Simulate power losses at random moments: while a logger records, splits its bag and closes it, or just after.
 
-    Each moment is tried twice: everything that was not synced is gone, or each unsynced write by chance. `opened`:
-    moments after which both bags can be read. `worst_missing_seconds`: from the first message that a bag lacks to that
+    Each moment is tried twice: all unsynced data are lost, or each unsynced write at random. `opened`: number of
+    moments after which both bags can be read. `worst_missing_seconds`: from the first missing message of a bag to that
     moment, or to the last message.
     """
     chance = random.Random(seed)
@@ -260,7 +260,7 @@ def power_losses(
 
 
 def first_missing(bag: Path, namespace: str, begin: int) -> int:
-    """When the last message [ns] came before the first one that is missing, of the topic of which that is earliest."""
+    """Arrival [ns] of the last message before the first missing one, of the topic in which that is earliest."""
     found = recorded(bag, namespace)
     last = []
     for topic in NUMBERED:
@@ -271,7 +271,7 @@ def first_missing(bag: Path, namespace: str, begin: int) -> int:
 
 
 def record_steadily(duration: float) -> dict[str, Any]:
-    """Three topics at 500 Hz for so many seconds while another process loads a core: messages, losses.
+    """Three topics at 500 Hz for some seconds while another process loads a core: numbers of messages and losses.
 
     The logger is stopped once its middleware has received the last message.
     """
@@ -293,7 +293,7 @@ def record_steadily(duration: float) -> dict[str, Any]:
 
 
 def flood_rate(bare: bool, duration: float, first: float, highest: float) -> tuple[float, bool]:
-    """The highest rate [Hz] of `Response` messages of which none is lost, and whether a higher one lost some."""
+    """The highest rate [Hz] of `Response` messages without loss, and whether a higher rate was tried and lost some."""
     best, rate = 0.0, first
     while rate <= highest:
         with publishers() as (rig, folder):
@@ -317,7 +317,7 @@ def flood_rate(bare: bool, duration: float, first: float, highest: float) -> tup
 
 
 def flood_rates(duration: float = 5.0, first: float = 5000.0, highest: float = 200000.0) -> dict[str, Any]:
-    """The rates at which the logger and a bare subscription still lose nothing; whether a higher one lost some."""
+    """The highest rates without loss of the logger and of a bare subscription; whether higher rates lost some."""
     ours, ours_lost = flood_rate(False, duration, first, highest)
     bare, bare_lost = flood_rate(True, duration, first, highest)
     return {

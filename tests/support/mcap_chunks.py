@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the chunks of an MCAP file are, as `mcap` reads them from its summary section."""
+"""The offsets of the chunks of an MCAP file, as `mcap` reads them from the summary section."""
 
 from __future__ import annotations
 
@@ -22,5 +22,5 @@ def chunk_indexes(path: Path) -> list[ChunkIndex]:
 
 
 def chunk_offsets(path: Path) -> list[int]:
-    """Where the chunks of a file begin."""
+    """The offsets of the chunks of a file."""
     return [index.chunk_start_offset for index in chunk_indexes(path)]

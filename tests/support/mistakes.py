@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs commands as processes of their own, quickly: all that they import is imported once, then each is forked.
+"""Runs commands as processes of their own, quickly: their modules are imported once, then each command is forked.
 
 `python mistakes.py MODULE ...` takes a line of JSON for each command, [word, ...], and gives [code, output, errors].
 """
@@ -26,7 +26,7 @@ def become(words: list[str]) -> int:
 
 
 def child(words: list[str], output: int, errors: int) -> None:
-    """Never returns: the process ends as the command does."""
+    """Run a command in this process, which ends with the command's exit code."""
     code = 1
     try:
         signal.alarm(PATIENCE)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poles by subspace identification (N4SID, Van Overschee and De Moor 1994), a second opinion beside our own.
+"""Poles by subspace identification (N4SID, Van Overschee and De Moor 1994), for comparison with abrace's own.
 
-SLICOT's IB01AD and IB01BD through `ctrlsys` on one test, decimated so that the excited band fills its spectrum.
+Applies SLICOT's IB01AD and IB01BD, by `ctrlsys`, to one test, decimated so that the excited band fills its spectrum.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ White noise has 1e-7, a multisine at FILL 1e-10: SLICOT then finds good poles or
 
 
 def n4sid_poles(run: Run, input_name: str) -> NDArray[np.complex128]:
-    """Continuous poles [rad/s] of a test, slowest first; how many is read off the singular values.
+    """Continuous poles [rad/s] of a test, slowest first; their number is found from the singular values.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A policy of SROS2, read as `ros2 security create_permission` reads it: who may do what."""
+"""The permissions in an SROS2 policy, read as `ros2 security create_permission` reads it."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ KINDS = {
 
 
 def read_policy(path: Path, namespace: str = "/rig") -> dict[str, list[tuple[str, str]]]:
-    """What each enclave may do, by its path: (`publish`, full name or pattern), and so on.
+    """The permissions of each enclave, by its path: (`publish`, full name or pattern), and so on.
 
     Parameters
     ----------
     path
         The policy.
     namespace
-        That stands in the place of /rig.
+        The namespace that replaces /rig.
     """
     allowed: dict[str, list[tuple[str, str]]] = {}
     for enclave in ElementTree.parse(path).iterfind("enclaves/enclave"):

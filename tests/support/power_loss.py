@@ -26,7 +26,7 @@ _HEAD = struct.Struct("<qq5I4x")
 
 
 class Kind(IntEnum):
-    """What an event does, as numbered in the log."""
+    """The kinds of events, as numbered in the log."""
 
     OPEN = 1
     WRITE = 2
@@ -40,7 +40,7 @@ class Kind(IntEnum):
 
 
 class Event(NamedTuple):
-    """What the process did: when [ns], the kind, which process and file, where in the file, data or paths."""
+    """An event: time [ns], kind, process and file, offset in the file, data or paths."""
 
     time: int
     kind: Kind
@@ -53,7 +53,7 @@ class Event(NamedTuple):
 
 @dataclass
 class _File:
-    """A file: what is in it, the writes since then that may be lost, what the disk keeps."""
+    """A file: its content, the unsynced writes that may be lost, and the content that the disk keeps."""
 
     content: bytearray = field(default_factory=bytearray)
     kept: bytes = b""
@@ -149,7 +149,7 @@ class Disk:
                 del folder.names[name]
 
     def write(self, target: Path, chance: random.Random | None = None) -> None:
-        """Write the folder as the disk has it to `target`.
+        """Write the folder to `target` with the content that the disk keeps.
 
         Parameters
         ----------
@@ -219,7 +219,7 @@ def _write_folder(folder: _Folder, target: Path, chance: random.Random | None) -
 
 
 def recorded(folder: Path, command: list[str]) -> list[Event]:
-    """Run a process to its end; returns what it did to the folder."""
+    """Run a process until it ends; returns its events in the folder."""
     with tempfile.TemporaryDirectory() as scratch:
         recorder = Recorder(folder, Path(scratch))
         subprocess.run(command, env=recorder.environment, check=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages, definitions and type hashes as `rosbags` makes them, which knows nothing of ours, for the tests of bags."""
+"""Messages, definitions and type hashes made by `rosbags`, which is independent of abrace, for the tests of bags."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def response_message(sequence: int, values: NDArray[Any], seconds: int, nanoseco
 
 
 def serialised(message: Any, type_name: str = RESPONSE) -> bytes:
-    """A message as it goes over the wire."""
+    """A message, serialised as CDR."""
     return bytes(STORE.serialize_cdr(message, type_name))
 
 
 def note(text: str) -> bytes:
-    """A string as it goes over the wire."""
+    """A `std_msgs/String`, serialised as CDR."""
     return serialised(TYPES[STRING](data=text), STRING)

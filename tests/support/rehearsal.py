@@ -41,7 +41,7 @@ TENTH_OF_G = 0.980665
 
 
 class Outcome(NamedTuple):
-    """Of a test: what tripped and when [s], the greatest true drift until then and at all [m], and the utilisation."""
+    """Result of a test: trip and its time [s], greatest true drift until then and in all [m], and the utilisation."""
 
     trip: Trip | None
     time: float
@@ -64,7 +64,7 @@ def controller(rig: Rig, weights: Weights, gain: float = 1.0) -> Controller:
 
 @dataclass(frozen=True)
 class Cause:
-    """Something that is wrong from `start` on [s].
+    """A fault that begins at `start` [s].
 
     Parameters
     ----------
@@ -155,14 +155,14 @@ def el_centro(sample_rate: float, seconds: float = 0.0) -> Array:
 
 
 def pulse(sample_rate: float) -> Array:
-    """A near-fault pulse of 1 s at 0.1 g, as Kobe has it, and 12 s of what follows."""
+    """A near-fault pulse of 1 s at 0.1 g, as in the Kobe record, and the 12 s after it."""
     time = np.arange(round(15 * sample_rate)) / sample_rate - 3.0
     motion = np.cos(2 * np.pi * time) * np.exp(-(time**2) / 0.5)
     return _table_motion(motion, sample_rate) * TENTH_OF_G
 
 
 def earthquake(sample_rate: float, seed: int = 3000) -> Array:
-    """Noise that rises and decays as an earthquake does, at 0.1 g, 40 s."""
+    """Noise with the envelope of an earthquake, at 0.1 g, 40 s."""
     time = np.arange(round(40 * sample_rate)) / sample_rate
     rise_and_decay = np.minimum(time / 2, 1) * np.exp(-np.maximum(time - 8, 0) / 8)
     noise = banded_noise(len(time), sample_rate, (0.3, 12.0), 1.0, seed) * rise_and_decay
@@ -177,7 +177,7 @@ def harmonic(sample_rate: float, frequency: float, amplitude: float, seconds: fl
 
 
 def table_noise(sample_rate: float, seconds: float, rms: float, seed: int) -> Array:
-    """White noise of the table up to 10 Hz with an `rms` [m/s^2], as far down as the table can follow."""
+    """White noise of the table with an `rms` [m/s^2], from the lowest frequency that the table can follow to 10 Hz."""
     noise = _table_motion(banded_noise(round(seconds * sample_rate), sample_rate, (0.0, 10.0), 1.0, seed), sample_rate)
     return noise * rms / np.sqrt(np.mean(noise**2))
 
@@ -188,6 +188,6 @@ def command_noise(sample_rate: float, seconds: float, rms: float, seed: int) -> 
 
 
 def _table_motion(motion: Sequence[float] | Array, sample_rate: float) -> Array:
-    """The motion with a peak of 1 and without what the table could not follow."""
+    """The motion, scaled to a peak of 1, without frequencies that the table cannot follow."""
     record = Record("motion", 1 / sample_rate, np.asarray(motion, dtype=np.float64))
     return prepare(record, sample_rate, Treatment(low_cut=0.3, peak_acceleration=1.0))

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 PATIENCE = 60.0
 PATIENCE_AFTER_HOLD_UP = 10.0
-"""Seconds to wait on, once a node reports one of HELD_UP: mostly what is waited for does not come any more."""
+"""Seconds to wait after a node reports one of HELD_UP: in most cases the awaited event does not come any more."""
 HELD_UP = (
     "samples missed before sample",
     "samples lost before sample",
@@ -88,13 +88,13 @@ class Graph:
         self.namespace = namespace
         self.folder = folder
         self.processes = processes
-        with profile(streams=False):  # nodes that start after us find us at once
+        with profile(streams=False):  # so that nodes that start later discover this one at once
             self.node: Node = rclpy.create_node("test", namespace=namespace, context=context)
         self.executor = SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
         self.started: dict[str, NodeProcess] = {}
         self.by_the_clock = False
-        """Whether nodes that stream get a real-time priority, where allowed: other tests keep the machine busy."""
+        """Whether nodes that stream get a real-time priority, if allowed: other tests keep the machine busy."""
         self.may_end: set[str] = set()
         """Names of nodes that may end while we wait."""
         self._clients: dict[str, Client] = {}
@@ -115,7 +115,7 @@ class Graph:
         name: str = "",
         **parameters: Any,
     ) -> NodeProcess:
-        """Start a node with parameters and further ROS arguments; `name` where it is to be called otherwise."""
+        """Start a node with parameters and further ROS arguments; `name`: the executable's by default."""
         name = name or executable
         if self.by_the_clock and executable in STREAMING:
             parameters = {"thread_priority": 50, **parameters}
@@ -135,7 +135,7 @@ class Graph:
         return process
 
     def _client(self, service_type: type, service: str) -> Client:
-        """Our client of a service, made when its node starts: a server drops answers to one that it hardly knows."""
+        """The client of a service, made when its node starts: a server drops answers to a newly discovered client."""
         if service not in self._clients:
             self._clients[service] = self.node.create_client(service_type, service)
         return self._clients[service]
@@ -159,7 +159,7 @@ class Graph:
         return any(words in one.message for one in self.statuses.values() for words in HELD_UP)
 
     def reported(self) -> str:
-        """What each node says of itself, and with what those that have ended did so."""
+        """The diagnostics of each node, and the exit codes and output of those that have ended."""
         said = [f"{name}: {status.message}" for name, status in self.statuses.items()]
         ended = {name: process.returncode for name, process in self.started.items() if process.returncode is not None}
         return "; ".join(
@@ -183,7 +183,7 @@ class Graph:
         return process.returncode
 
     def kill(self, name: str) -> None:
-        """End a node with SIGKILL; what it leaves in shared memory is removed."""
+        """End a node with SIGKILL, and remove its files in shared memory."""
         process = self.started[name]
         left = own_shared_memory(process.group)
         os.kill(process.group, signal.SIGKILL)
@@ -196,7 +196,7 @@ class Graph:
         return self.started[name].log_file.read_text().splitlines()
 
     def listen(self, message_type: type, topic: str, qos: QoSProfile = STREAM) -> list[Any]:
-        """Subscribe; the messages come into the list that is returned."""
+        """Subscribe; returns the list to which messages are appended."""
         messages: list[Any] = []
         self.node.create_subscription(message_type, topic, messages.append, qos)
         return messages
@@ -208,12 +208,12 @@ class Graph:
         return publisher
 
     def values(self, name: str) -> dict[str, str]:
-        """What a node's last diagnostics say."""
+        """The values in a node's last diagnostics."""
         status = self.statuses.get(name)
         return {entry.key: entry.value for entry in status.values} if status else {}
 
     def until_matched(self, name: str, **counts: int) -> None:
-        """Wait until a node says that it has found its partners: `response=2` means two on the topic `response`."""
+        """Wait until a node reports its matched partners: `response=2` means two on the topic `response`."""
 
         def matched() -> bool:
             values = self.values(name)
@@ -278,7 +278,7 @@ class Graph:
             assert time.monotonic() < begin + PATIENCE, f"no answer of {name} to {transition}; {self.reported()}"
 
     def state(self, name: str) -> str:
-        """A life cycle node's state; asked again where a server dropped its answer to a new client."""
+        """A life cycle node's state; the request is repeated if a server dropped its answer to a new client."""
         answers: list[Future] = []
 
         def answered() -> Any:
@@ -294,12 +294,12 @@ class Graph:
         return self.call(Trigger, f"{name}/clear_fault", Trigger.Request())
 
     def emergency_stop(self) -> Callable[[bool], None]:
-        """The button: a latched publisher of emergency_stop, matched with the plant."""
+        """A stop button: a transient local publisher of emergency_stop, matched with the plant."""
         publisher = self.publisher(Bool, "emergency_stop", LATCHED)
         return lambda pressed: publisher.publish(Bool(data=pressed))
 
     def close(self) -> None:
-        """Take the tests' node out of the graph."""
+        """Remove the tests' node from the graph."""
         self.executor.shutdown()
         self.node.destroy_node()
 
@@ -319,7 +319,7 @@ def graph_of_its_own(namespace: str) -> Iterator[Graph]:
 
 
 class Commander:
-    """The hand at the braces of a rig in lockstep: answers sample after sample with the force that it is told."""
+    """Commands the braces of a rig in lockstep: answers each sample with a given force."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
@@ -328,13 +328,13 @@ class Commander:
         graph.until(lambda: self.responses, "the rig's first sample")
 
     def send(self, force: Sequence[float], fault: str = "") -> None:
-        """Answer the present sample, with the `fault` of its own that it reports."""
+        """Answer the present sample; `fault`: a fault of its own to report."""
         sample = self.responses[-1]
         answer = BraceCommand(run=sample.run, sequence=sample.sequence, force=force, fault=fault)
         self._publisher.publish(answer)
 
     def answer(self, *forces: Sequence[float]) -> None:
-        """Answer as many samples, each with its force."""
+        """Answer one sample with each of these forces."""
         for force in forces:
             more = self._more()
             self.send(force)
@@ -345,7 +345,7 @@ class Commander:
         return lambda: len(self.responses) > count
 
     def hold(self, force: float, samples: int) -> None:
-        """Answer so many samples with this force."""
+        """Answer a number of samples with one force."""
         self.answer(*[[force]] * samples)
 
     @property
@@ -355,7 +355,7 @@ class Commander:
 
     @property
     def commands(self) -> np.ndarray:
-        """(samples,) [N], the command in force until each sample."""
+        """(samples,) [N], the command that acted until each sample."""
         return np.array([response.command[0] for response in self.responses])
 
     @property

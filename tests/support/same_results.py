@@ -25,7 +25,7 @@ STREAMS = ("response", "brace_command", "ground_motion")
 
 
 def contents(folder: Path, name: str) -> dict[str, str]:
-    """Checksums of the results and of the recorded streams of the campaign `name` that was run in a `folder`.
+    """Checksums of the results and recorded streams of the campaign `name`, which was run in a `folder`.
 
     By file, and by test and topic.
     """

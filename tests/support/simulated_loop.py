@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
 
 RUN = 1
-"""Number of its run."""
+"""Number of the loop's run."""
 
 
 def simulated_loop(rig: Rig, seed: int) -> RigLoop:

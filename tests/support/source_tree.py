@@ -71,7 +71,7 @@ LAUNCH_FILES = [read_module(path, path.stem) for path in sorted((ROOT / "src").g
 
 
 def reached(modules: list[Module]) -> set[str]:
-    """Names of our modules that these import, directly or by others."""
+    """Names of abrace's modules that these import, directly or indirectly."""
     found: set[str] = set()
     new = {name for module in modules for name in module.imports if name in MODULES}
     while new:
@@ -81,7 +81,7 @@ def reached(modules: list[Module]) -> set[str]:
 
 
 def ring(arrows: dict[str, set[str]]) -> list[str]:
-    """A ring of arrows, as the names on it, the first once more at the end; empty where there is none."""
+    """A cycle in the graph, as names, the first one repeated at the end; empty: no cycle."""
     finished: set[str] = set()
 
     def follow(name: str, way: list[str]) -> list[str]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tutorials, followed: a page's files are written into a folder and its commands are given there; no more is known."""
+"""Runs tutorials: writes a page's files into a folder and runs its commands there, with no other preparation."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def write_files(name: str, folder: Path) -> list[str]:
 
 
 def lines(name: str) -> list[str]:
-    """The lines that a tutorial has one give to the shell, in their order."""
+    """The shell commands of a tutorial, in their order."""
     shown = (line.strip() for block in blocks(page(name)) if not block.language for line in block.text.splitlines())
     return [line for line in shown if LINE.match(line) and not line.startswith(NEEDS_A_TERMINAL)]
 
@@ -45,7 +45,7 @@ def python(name: str) -> str:
 
 
 def follow(name: str, folder: Path, without: Collection[str] = ()) -> dict[str, str]:
-    """What each line of a tutorial prints in a `folder`, but for those `without`; then its Python is run.
+    """Run each line of a tutorial in a `folder`, except those `without`, then its Python; returns their output.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The other end of a UDP device, packet by packet, for its tests: sends what it is told to, and keeps what it gets."""
+"""A target for tests of UDP devices: sends given packets, and stores received ones."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PERIOD = round(1e9 / RIG.sample_rate)
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports that nobody has just now."""
+    """Ports that are free now."""
     sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
     for each in sockets:
         each.bind(("127.0.0.1", 0))
@@ -48,7 +48,7 @@ def device_file(folder: Path, timeout: float = 1.0, calibrated: bool = False, la
 
 
 def values_of(counter: int) -> list[float]:
-    """The signals of sample `counter`, by which it is known again."""
+    """The signals of sample `counter`, by which it can be identified."""
     return [counter + 0.001 * i for i in range(len(CHANNELS))]
 
 
@@ -86,7 +86,7 @@ class UdpTarget:
         return self.samples.encode(values_of(counter) if values is None else values, counter, time, self.answered())
 
     def answered(self) -> int:
-        """Counter of the last command that came; 0 before the first."""
+        """Counter of the last received command; 0 before the first."""
         self.socket.setblocking(False)
         try:
             while True:
@@ -139,7 +139,7 @@ KINDS = ("random", "cut", "longer", "bit", "counter", "small_jump", "repeated", 
 
 
 def malformed(target: UdpTarget, kind: str, amount: int, content: bytes) -> bytes:
-    """A packet of the target's sender that must not be used; its CRC is right where that is not what is wrong.
+    """A packet from the target's address that must be rejected; its CRC is right unless the CRC is the mistake.
 
     Parameters
     ----------

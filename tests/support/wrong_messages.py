@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from running_graph import Graph
 
 FRAME = "elsewhere"
-"""Frame of our Responses, which tells them from the rig's."""
+"""Frame of the test's own Responses, which distinguishes them from the rig's."""
 NUMBERS = (float("nan"), float("inf"), float("-inf"), 1.7e308, -1.7e308, 5e-324, 1e9, -1e9, 0.0, 1.0)
 TEXTS = ("", "x", "x" * 5000, "\n", "../../..", "el_centro ", "nan", "ä")
 LENGTHS = (0, 0, 1, 1, 2, 3, 3, 5, 300)
 TRANSITIONS = (0, 8, 9, 10, 11, 60, 97, 98, 99, 200, 255)
-"""Numbers of no transition that anybody may ask for."""
+"""Numbers of transitions that do not exist or may not be requested."""
 BATCH = 8
-"""Calls that are on the way at a time; a service keeps ten."""
+"""Greatest number of calls in progress; a service queues ten."""
 
 
 def _interface(name: str, folder: str) -> type:
@@ -68,7 +68,7 @@ def _wrong_value(kind: str, chance: random.Random) -> Any:
 
 
 def wrong(kind: type, chance: random.Random) -> Any:
-    """A message or a request of a `kind` whose fields have no sense."""
+    """A message or a request of a `kind` with meaningless fields."""
     message = kind()
     for name, field in message.get_fields_and_field_types().items():
         setattr(message, name, _wrong_value(field, chance))
@@ -104,7 +104,7 @@ def wrong_request(kind: type, chance: random.Random, parameters: list[str]) -> A
 
 
 def _done(asked: list[Future]) -> bool:
-    """Whether all have been answered, but for one: a server drops its answer to a client that it hardly knows."""
+    """Whether all but one have been answered: a server drops its answer to a newly discovered client."""
     return sum(one.done() for one in asked) >= len(asked) - 1
 
 
@@ -124,7 +124,7 @@ class WrongMessages:
         self.last: Response | None = None
         self.samples = 0
         self.worst_step = self.greatest = 0.0
-        """Of what acted: the greatest change between two samples, and the greatest force [N]."""
+        """The greatest change of the acting force between two samples, and the greatest force [N]."""
         self.not_finite = 0
         graph.node.create_subscription(Response, "response", self._watch, 5000)
 
