@@ -16,6 +16,7 @@ from rclpy.signals import SignalHandlerOptions
 from abrace.report.node_table import NodeReport
 from abrace_core.errors import RunFailed
 from abrace_core.node import DIAGNOSTICS
+from abrace_core.node.leaving import destroy
 from abrace_core.node.transport import profile
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ class GraphMonitor:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._executor.shutdown()
-        self._node.destroy_node()
+        destroy(self._node)
         self._context.try_shutdown()
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:

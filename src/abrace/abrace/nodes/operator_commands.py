@@ -21,6 +21,7 @@ from abrace.nodes.graph_operator import PATIENCE, STOP_TOPIC, TRIES, GraphOperat
 from abrace.report.node_table import node_table
 from abrace_core.errors import AbraceError
 from abrace_core.node import TRANSIENT_LOCAL_QOS, RCLError, rcl_message
+from abrace_core.node.leaving import destroy
 from abrace_core.node.transport import profile
 from abrace_core.safety.stop_senders import UNNAMED
 
@@ -47,7 +48,7 @@ def graph_operator() -> Iterator[GraphOperator]:
         yield GraphOperator(node, lambda: executor.spin_once(timeout_sec=0.05))
     finally:
         executor.shutdown()
-        node.destroy_node()
+        destroy(node)
         context.try_shutdown()
 
 

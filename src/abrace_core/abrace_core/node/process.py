@@ -28,6 +28,7 @@ from rclpy.utilities import remove_ros_args
 from abrace_core.errors import AbraceError
 from abrace_core.node import real_time
 from abrace_core.node.conventions import AbraceNode, Described, RCLError, rcl_message
+from abrace_core.node.leaving import destroy
 from abrace_core.node.threads import LONGEST_WAIT
 from abrace_core.node.transport import profile
 from abrace_core.ros_arguments import check_environment, mistake_in
@@ -199,7 +200,7 @@ def _close(node: AbraceNode | None, program: str) -> int:
         except AbraceError as error:
             print(f"{program}: {error}", file=sys.stderr, flush=True)
             exit_code = 1
-        node.destroy_node()
+        destroy(node)
     rclpy.try_shutdown()
     return exit_code
 
