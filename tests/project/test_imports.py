@@ -76,7 +76,9 @@ def test_launch_files_need_what_every_machine_with_launch_has(name):
     assert outside <= {"yaml", "launch", "launch_ros", "ament_index_python"}
 
 
-@pytest.mark.parametrize("name", ["abrace_bags.nodes.logger", "abrace_lqg.nodes.controller"])
+@pytest.mark.parametrize(
+    "name", ["abrace_bags.nodes.logger", "abrace_lqg.nodes.controller", "abrace_plant.nodes.ground_motion"]
+)
 def test_a_node_of_every_test_does_not_wait_for_scipy(name):
     """Its import takes as long as that of all the rest of a logger."""
     code = f"import sys, {name}; sys.exit('scipy' in sys.modules)"

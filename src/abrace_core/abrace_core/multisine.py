@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft
+from numpy import fft
 
 from abrace_core.errors import AbraceError
 

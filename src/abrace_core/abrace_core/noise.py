@@ -6,10 +6,11 @@ The table's, which has to begin and end at rest, is made of it in `table_signals
 
 from __future__ import annotations
 
+from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft
+from numpy import fft
 
 from abrace_core.errors import AbraceError
 
@@ -85,7 +86,7 @@ def noise_spectrum(
     if samples < max(2 * round(TAPER * sample_rate), 2):
         raise AbraceError(f"noise of {samples / sample_rate:g} s: expected at least {2 * TAPER:g} s (taper in and out)")
 
-    length = fft.next_fast_len(samples, real=True)
+    length = next(length for length in count(samples) if _is_fast(length))
     frequencies = fft.rfftfreq(length, 1 / sample_rate)
     lines = np.flatnonzero((frequencies >= low) & (frequencies <= high) & (frequencies > 0))
     if not len(lines):
@@ -94,3 +95,11 @@ def noise_spectrum(
     real, imaginary = np.random.default_rng(seed).standard_normal((2, len(lines)))
     spectrum[lines] = real + 1j * imaginary
     return spectrum, length
+
+
+def _is_fast(length: int) -> bool:
+    """Whether a Fourier transform of this length is fast: it has no prime factors but 2, 3 and 5."""
+    for factor in (2, 3, 5):
+        while length % factor == 0:
+            length //= factor
+    return length == 1

@@ -11,7 +11,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-PAUSE = 0.05
+PAUSE = 0.02
 """Seconds between the end of a node and that of its DDS participant: other processes handle the first meanwhile."""
 
 

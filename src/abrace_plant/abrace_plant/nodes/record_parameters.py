@@ -17,7 +17,7 @@ from abrace_plant.records.reading import UNITS
 from abrace_plant.records.record import Record
 from abrace_plant.records.table_motion import RECORD_REMEDIES, SIGNAL_REMEDIES, check_motion
 from abrace_plant.records.treatment import BAND_LIMIT, BASELINES, Treatment, prepare
-from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.table_file import load_table
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -95,14 +95,14 @@ def table_as_given(given: Any) -> Table:
     Raises
     ------
     AbraceError
-        As in `load_rig`; or if `sample_rate` is not the rig's.
+        As in `load_table`; or if `sample_rate` is not the rig's.
     """
-    rig = load_rig(find_file(given.rig, "abrace_plant", "config", ".yaml", "rig"))
+    rig = load_table(find_file(given.rig, "abrace_plant", "config", ".yaml", "rig"))
     if given.sample_rate != rig.sample_rate:
         raise AbraceError(
             f"parameter sample_rate: {given.sample_rate}, expected {rig.sample_rate}, as the rig {rig.name} has"
         )
-    return rig.table
+    return rig.table.table()
 
 
 def motion_as_given(

@@ -12,7 +12,6 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft
 
 from abrace_core.errors import AbraceError
 from abrace_plant.records.intensity import integrate
@@ -206,6 +205,8 @@ def _cut_low(acceleration: NDArray[np.float64], period: float, low_cut: float) -
     stay zeros, and no filter transient beyond them is needed to avoid drift of velocity and displacement (unlike with
     zero padding: Boore and Bommer, 2005).
     """
+    from scipy import fft  # here, as in `_resample`: white noise needs none of it
+
     spectrum = fft.dct(acceleration, type=1)
     frequency = np.arange(1, len(spectrum)) / (2 * (len(spectrum) - 1) * period)
     spectrum[0] = 0

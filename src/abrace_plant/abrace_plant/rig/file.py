@@ -10,7 +10,6 @@ import pydantic
 
 from abrace_core.config_file import Checked, read_config
 from abrace_core.errors import AbraceError
-from abrace_core.safety.table_stop import Table
 from abrace_plant.rig.actuator import Actuator
 from abrace_plant.rig.building import Building
 from abrace_plant.rig.building_file import BuildingContent, frame_file, read_building
@@ -21,23 +20,10 @@ from abrace_plant.rig.model import BraceGroup, Interlock, LocalMode, Rig
 from abrace_plant.rig.plausibility import check_units
 from abrace_plant.rig.sensors import AntiAlias, Sensor, SensorSet
 from abrace_plant.rig.table_dynamics import TableDynamics
+from abrace_plant.rig.table_file import TableContent
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-class _TableDynamics(Checked):
-    mass: Positive
-    frequency: Positive
-    damping_ratio: Annotated[float, pydantic.Field(gt=0, lt=2)]
-
-
-class _Table(Checked):
-    peak_acceleration: Positive
-    peak_jerk: Positive
-    peak_velocity: Positive
-    peak_displacement: Positive
-    dynamics: _TableDynamics | None = None
 
 
 class _Actuator(Checked):
@@ -131,7 +117,7 @@ class _Interlocks(Checked):
 class _Rig(Checked):
     name: str
     sample_rate: Positive
-    table: _Table
+    table: TableContent
     building: BuildingContent
     braces: Annotated[list[_BraceGroup], pydantic.Field(min_length=1)]
     local_modes: list[_LocalMode] = []
@@ -181,7 +167,7 @@ def _rig(content: _Rig) -> Rig:
     rig = Rig(
         name=content.name,
         sample_rate=content.sample_rate,
-        table=Table(**content.table.model_dump(exclude={"dynamics"})),
+        table=content.table.table(),
         building=building,
         braces=tuple(
             BraceGroup(**dict(group) | {"actuator": Actuator(**dict(group.actuator))}) for group in content.braces
