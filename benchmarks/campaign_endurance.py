@@ -100,7 +100,9 @@ def campaign_endurance(interruptions: int = INTERRUPTIONS) -> dict[str, Any]:
                 raise SystemExit(f"the campaign ended with {process.returncode}: {said}")
             campaigns += 1
             found = contents(folder, NAME)
-            different += sum(found.get(key) != expected.get(key) for key in found | expected)
+            differing = [key for key in found | expected if found.get(key) != expected.get(key)]
+            print(*differing, sep="\n", end="\n" * bool(differing), file=sys.stderr)
+            different += len(differing)
             if count == interruptions:
                 break
     deadline = time.monotonic() + 30.0

@@ -38,3 +38,18 @@ def test_a_figure_is_the_same_file_each_time(tmp_path):
         figure.subplots().plot([1, 2, 3])
         save_image(figure, tmp_path / name)
     assert (tmp_path / "first.svg").read_bytes() == (tmp_path / "second.svg").read_bytes()
+
+
+def test_the_last_digits_of_a_layout_change_no_file(tmp_path):
+    """Its solver finds others in each process."""
+    for name, moved in (("one", 0.0), ("other", 1e-13)):
+        figure = Figure(layout="constrained")
+        for axis in figure.subplots(1, 2):
+            axis.bar([1, 2], [3, 4])
+        figure.draw_without_rendering()
+        figure.set_layout_engine(None)
+        for axis in figure.axes:
+            axis.set_position([value + moved for value in axis.get_position().bounds])
+        save_figure(figure, tmp_path / name)
+    for suffix in (".svg", ".plotly.json"):
+        assert (tmp_path / f"one{suffix}").read_bytes() == (tmp_path / f"other{suffix}").read_bytes()

@@ -17,7 +17,7 @@ import numpy as np
 
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_atomically, write_text
-from abrace_core.zoomable import plotly_figure
+from abrace_core.zoomable import DIGITS, plotly_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,6 +82,8 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     path = Path(path)
     figure.draw_without_rendering()
     figure.set_layout_engine(None)
+    for axis in figure.axes:
+        axis.set_position(np.round(axis.get_position().bounds, DIGITS).tolist())
     content = {"caption": str(figure.get_label()), "plotly": plotly_figure(figure)}
     for suffix in (".png", ".svg"):
         save_image(figure, path.with_suffix(suffix))

@@ -35,6 +35,8 @@ PIXELS_OF_A_TICK = 28.0
 """Least distance of the numbers at an axis."""
 BUTTONS = 36.0
 """Width of the buttons next to a figure [pixels]."""
+DIGITS = 6
+"""Decimals of places in the figure: the layout's solver finds other last digits each time."""
 SCALES = {"linear": "linear", "log": "log"}
 
 
@@ -110,7 +112,7 @@ def _twins(one: Axes, other: Axes) -> bool:
 
 
 def _place(box: Any, figure: Figure) -> dict[str, Any]:
-    (x0, y0), (x1, y1) = box.min / figure.bbox.max, box.max / figure.bbox.max
+    (x0, y0), (x1, y1) = np.round([box.min / figure.bbox.max, box.max / figure.bbox.max], DIGITS)
     corners = dict(zip(("x0", "y0", "x1", "y1"), map(float, (x0, y0, x1, y1)), strict=True))
     return {"type": "rect", "xref": "paper", "yref": "paper", "layer": "below", "line": {"width": 0}, **corners}
 
@@ -238,7 +240,8 @@ def _add_texts(
 
 def _corners(artist: Any, figure: Figure) -> list[float]:
     """Left, bottom, right and top of what is drawn, in shares of the `figure`."""
-    return np.concatenate([corner / figure.bbox.max for corner in artist.get_window_extent().get_points()]).tolist()
+    corners = artist.get_window_extent().get_points() / figure.bbox.max
+    return np.round(corners.ravel(), DIGITS).tolist()
 
 
 def _logarithmic(axis: Axes, point: tuple[float, float]) -> list[float]:
