@@ -38,6 +38,7 @@ class _Level(Checked):
     mass: Positive
     beams: list[str]
     hinged: list[Annotated[int, pydantic.Field(ge=1)]] = []
+    hinged_right: list[Annotated[int, pydantic.Field(ge=1)]] = []
     held: bool = False
 
 
@@ -123,13 +124,15 @@ def _building(content: _File) -> FrameBuilding:
     masses = np.zeros((len(nodes), 3))
     for i, level in enumerate(content.levels):
         _expect_count(f"levels.{i}.beams", level.beams, bays, "bays")
-        beyond = [bay for bay in level.hinged if bay > bays]
-        if beyond:
-            raise AbraceError(f"levels.{i}.hinged: bay {beyond[0]}, expected one from 1 to {bays}")
+        for key, named in (("hinged", level.hinged), ("hinged_right", level.hinged_right)):
+            beyond = [bay for bay in named if bay > bays]
+            if beyond:
+                raise AbraceError(f"levels.{i}.{key}: bay {beyond[0]}, expected one from 1 to {bays}")
         first = (i + 1) * lines
         for bay, name in enumerate(level.beams):
-            section, ends = _section(content, name, f"levels.{i}.beams.{bay}"), bay + 1 in level.hinged
-            members.append(Member(first + bay, first + bay + 1, section, (ends, ends)))
+            section, both = _section(content, name, f"levels.{i}.beams.{bay}"), bay + 1 in level.hinged
+            right = both or bay + 1 in level.hinged_right
+            members.append(Member(first + bay, first + bay + 1, section, (both, right)))
             # the floor's mass hangs on its beams: half of each one's share at either end
             share = level.mass * content.bays[bay] / sum(content.bays) / 2
             masses[first + bay, :2] += share
