@@ -44,10 +44,12 @@ def test_the_last_digits_of_a_layout_change_no_file(tmp_path):
     """Its solver finds others in each process."""
     for name, moved in (("one", 0.0), ("other", 1e-13)):
         figure = Figure(layout="constrained")
-        for axis in figure.subplots(1, 2):
+        upper, lower = figure.subfigures(2, 1)
+        for axis in (*upper.subplots(1, 2), lower.subplots()):
             axis.bar([1, 2], [3, 4])
         figure.draw_without_rendering()
         figure.set_layout_engine(None)
+        upper.bbox_relative.p1 += moved
         for axis in figure.axes:
             axis.set_position([value + moved for value in axis.get_position().bounds])
         save_figure(figure, tmp_path / name)

@@ -22,7 +22,7 @@ from abrace_core.zoomable import DIGITS, plotly_figure
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
     from numpy.typing import NDArray
 
 MEASURED = "#1b3a6b"
@@ -82,12 +82,20 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     path = Path(path)
     figure.draw_without_rendering()
     figure.set_layout_engine(None)
-    for axis in figure.axes:
-        axis.set_position(np.round(axis.get_position().bounds, DIGITS).tolist())
+    _round_places(figure)
     content = {"caption": str(figure.get_label()), "plotly": plotly_figure(figure)}
     for suffix in (".png", ".svg"):
         save_image(figure, path.with_suffix(suffix))
     write_text(path.with_suffix(ZOOMABLE), json.dumps(content, separators=(",", ":"), allow_nan=False))
+
+
+def _round_places(figure: Figure | SubFigure) -> None:
+    for part in figure.subfigs:
+        box = part.bbox_relative
+        box.p0, box.p1 = np.round(box.p0, DIGITS), np.round(box.p1, DIGITS)
+        _round_places(part)
+    for axis in figure.axes:
+        axis.set_position(np.round(axis.get_position().bounds, DIGITS).tolist())
 
 
 def save_image(figure: Figure, path: Path | str) -> None:
