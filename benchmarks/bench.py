@@ -13,7 +13,7 @@ explore        1000 closed loops of 50 000 steps, designs and margins included, 
 reading        the responses of that run's bag to arrays, against `rosbags`
 bags           1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`
 report         report.html of the demo: `abrace report` as a process of its own, its size, and a headless Chromium
-               from its start to its end with all figures drawn
+               from opening it until all figures are drawn
 campaign       what a test costs beside its samples, against bare starts of as many nodes
 identification from bags of 600 s to the model, against `rosbags`, `mcap-ros2-support` and scikit-rf's VectorFitting
 """

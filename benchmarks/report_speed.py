@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import statistics
 import subprocess
 import time
 from pathlib import Path
 from typing import Any
 
-from browser import CHROMIUM, open_page
+from browser import CHROMIUM
+from driven_browser import DrivenBrowser
 
 from abrace.campaign.course import run_campaign
 from abrace_core.node import find_file
@@ -16,6 +18,8 @@ from abrace_core.node import find_file
 DEMO = Path("results/demo")
 WHOLE = ("origin.json", "timing.json", "comparison/comparison.json")
 """Files of a demo that was carried out."""
+OPENED = 3
+"""Times that the page is opened; the median counts."""
 
 
 def report_speed() -> dict[str, Any]:
@@ -28,12 +32,21 @@ def report_speed() -> dict[str, Any]:
     page = DEMO / "report.html"
     found: dict[str, Any] = {"seconds": seconds, "megabytes": page.stat().st_size / 1e6, "browser_seconds": None}
     if CHROMIUM is not None:
-        begin = time.perf_counter()
-        opened = open_page(page)
-        found |= {"browser_seconds": time.perf_counter() - begin, "figures": len(opened.drawn)}
-        assert not opened.console, opened.console
-        assert all(opened.drawn.values()), opened.drawn
+        with DrivenBrowser() as browser:
+            drawn = [_drawn(browser, page) for _ in range(OPENED)]
+        found |= {"browser_seconds": statistics.median(took for took, _ in drawn), "figures": drawn[0][1]}
     return found
+
+
+def _drawn(browser: DrivenBrowser, page: Path) -> tuple[float, int]:
+    """Seconds from opening the page until its last figure is drawn, and how many there are."""
+    begin = time.perf_counter()
+    tab = browser.open(page.resolve().as_uri())
+    figures = tab.until("document.documentElement?.dataset.drawn")
+    seconds = time.perf_counter() - begin
+    assert not tab.errors, tab.errors
+    tab.close()
+    return seconds, int(figures)
 
 
 def report_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
@@ -43,6 +56,6 @@ def report_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
         ("its page, MB", f"{found['megabytes']:.1f}", "5", "-", "-"),
     ]
     if found["browser_seconds"] is not None:
-        title = f"a browser's start, {found['figures']} figures and end, s"
+        title = f"opened in a browser and {found['figures']} figures drawn, s"
         rows.append((title, f"{found['browser_seconds']:.1f}", "3", "-", "-"))
     return rows

@@ -25,6 +25,8 @@ PIXELS = 96.0
 """A browser's, in an inch."""
 BINS = 700
 """Of a long curve."""
+BINS_OF_MARKS = 250
+"""Of many marks: each takes a browser as long as hundreds of points of a curve."""
 DASHES = {"--": "dash", ":": "dot", "-.": "dashdot"}
 MARKERS = {
     ".": "circle", "o": "circle", "s": "square", "D": "diamond", "^": "triangle-up", "v": "triangle-down",
@@ -119,8 +121,9 @@ def _named(trace: dict[str, Any], label: object) -> dict[str, Any]:
 
 def _line(line: Line2D) -> dict[str, Any]:
     x, y = (np.asarray(values, float) for values in (line.get_xdata(orig=False), line.get_ydata(orig=False)))
-    kept = thinned(x, y)
-    return {"type": "scatter", "x": _packed(x[kept]), "y": _packed(y[kept]), **_style(line)}
+    style = _style(line)
+    kept = thinned(x, y, BINS_OF_MARKS if "marker" in style else BINS)
+    return {"type": "scatter", "x": _packed(x[kept]), "y": _packed(y[kept]), **style}
 
 
 def _across(axis: Axes, line: Line2D, of_x: bool) -> dict[str, Any]:

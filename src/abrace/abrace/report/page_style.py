@@ -40,8 +40,8 @@ figcaption { font-size: 13px; color: #333; margin-top: 4px; max-width: 900px; }
 
 SCRIPT = """
 const unpacked = async name => {
-  const bytes = Uint8Array.from(atob(document.getElementById(name).textContent), letter => letter.charCodeAt(0));
-  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
+  const packed = await fetch("data:application/gzip;base64," + document.getElementById(name).textContent);
+  return new Response(packed.body.pipeThrough(new DecompressionStream("gzip"))).text();
 };
 const draw = async () => {
   const [code, text] = await Promise.all(["plotly", "figures"].map(unpacked));
