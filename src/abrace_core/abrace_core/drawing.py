@@ -17,12 +17,12 @@ import numpy as np
 
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_atomically, write_text
-from abrace_core.zoomable import DIGITS, plotly_figure
+from abrace_core.zoomable import DIGITS, parts_of, plotly_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
 MEASURED = "#1b3a6b"
@@ -89,11 +89,12 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     write_text(path.with_suffix(ZOOMABLE), json.dumps(content, separators=(",", ":"), allow_nan=False))
 
 
-def _round_places(figure: Figure | SubFigure) -> None:
-    for part in figure.subfigs:
-        box = part.bbox_relative
-        box.p0, box.p1 = np.round(box.p0, DIGITS), np.round(box.p1, DIGITS)
-        _round_places(part)
+def _round_places(figure: Figure) -> None:
+    """Round the places of subfigures and axes, whose last digits the layout's solver finds anew each time."""
+    for part in parts_of(figure):
+        if part is not figure:
+            box = part.bbox_relative
+            box.p0, box.p1 = np.round(box.p0, DIGITS), np.round(box.p1, DIGITS)
     for axis in figure.axes:
         axis.set_position(np.round(axis.get_position().bounds, DIGITS).tolist())
 

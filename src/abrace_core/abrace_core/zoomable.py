@@ -76,7 +76,7 @@ def plotly_figure(figure: Figure) -> dict[str, Any] | None:
         _add_texts(layout, axis.texts, figure, (x, y), axis)
         titles = [one for one in axis.get_children() if isinstance(one, Text) and one not in axis.texts]
         _add_texts(layout, [*titles, axis.xaxis.label, axis.yaxis.label], figure)
-    for part in _parts(figure):
+    for part in parts_of(figure):
         _add_texts(layout, [*part.texts, *filter(None, [getattr(part, "_suptitle", None)])], figure)
         if part is not figure and to_rgba(part.patch.get_facecolor())[3]:
             layout["shapes"].append({**_place(part.bbox, figure), "fillcolor": colour_of(part.patch.get_facecolor())})
@@ -90,10 +90,11 @@ def plotly_figure(figure: Figure) -> dict[str, Any] | None:
     return {"data": found, "layout": layout}
 
 
-def _parts(figure: Any) -> Iterator[Any]:
+def parts_of(figure: Any) -> Iterator[Any]:
+    """The `figure` and its subfigures, parents first."""
     yield figure
     for part in figure.subfigs:
-        yield from _parts(part)
+        yield from parts_of(part)
 
 
 def _names(axes: Sequence[Axes]) -> dict[Axes, tuple[str, str]]:
@@ -185,7 +186,7 @@ def _axis(axis: Axis, limits: tuple[float, float], scale: str, length: float) ->
 def _legends(figure: Figure, axes: Sequence[Axes], layout: dict[str, Any]) -> dict[str, dict[Axes | None, str]]:
     """Names of the legends by label and axes, None for those of the figure; their places go into `layout`."""
     found: dict[str, dict[Axes | None, str]] = {}
-    several: list[tuple[Axes | None, Legend]] = [(None, one) for part in _parts(figure) for one in part.legends]
+    several: list[tuple[Axes | None, Legend]] = [(None, one) for part in parts_of(figure) for one in part.legends]
     several += [(axis, legend) for axis in axes if (legend := axis.get_legend()) is not None]
     for number, (owner, legend) in enumerate(several, 1):
         name = "legend" if number == 1 else f"legend{number}"

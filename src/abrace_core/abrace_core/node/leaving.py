@@ -18,10 +18,9 @@ PAUSE = 0.02
 def destroy(node: Node) -> None:
     """Destroy the only node of its context, so that no other process goes on listing it.
 
-    Other processes learn in one thread that the node has lost its topics and has ended, in another that its DDS
-    participant has. A busy process that is still handling the first news when the second comes lists the node for as
-    long as it runs: 5 in 140 loggers that a storm of signals ended. Therefore a second, hidden node keeps the
-    participant until all that is old news.
+    Other processes receive the end of a node and that of its DDS participant in two threads. A busy process that is
+    still handling the first when the second arrives lists the node for as long as it runs: 5 of 140 loggers that were
+    ended by many signals. Therefore a second, hidden node keeps the participant a moment longer.
     """
     context = node.context.handle
     with context:
