@@ -39,7 +39,8 @@ done
 export PYTHONNOUSERSITE=1 PIP_ROOT_USER_ACTION=ignore
 unset PYTHONPATH VIRTUAL_ENV
 system=("$folder/usr/bin/python3" -m)
-"${system[@]}" ensurepip > /dev/null
+"${system[@]}" ensurepip > /dev/null ||
+  fail "$python has no ensurepip (that of Debian and Ubuntu has none): PYTHON=python3.11 make test-sourced, with a Python of your own"
 pip=("${system[@]}" pip install --quiet --disable-pip-version-check --no-warn-script-location
   -c "$folder/lock.txt" -c "$requirements/ubuntu.txt")
 echo "abrace: installing Ubuntu's Python packages into $folder/usr"
