@@ -175,11 +175,13 @@ def test_attached_files_come_back_whole_and_damage_to_them_is_seen(tmp_path: Pat
 
 
 def test_attachments_that_cannot_be_are_refused_by_name(tmp_path: Path) -> None:
-    (tmp_path / "a").mkdir()
-    for path in (tmp_path / "rig.yaml", tmp_path / "a/rig.yaml"):
+    paths = [tmp_path / name for name in ("rig.yaml", "a/rig.yaml", "b/a/rig.yaml")]
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("")
-    with pytest.raises(AbraceError, match=r"attachment .*a/rig\.yaml: another one is called rig\.yaml"):
-        file_attachments([tmp_path / "rig.yaml", tmp_path / "a/rig.yaml"])
+    assert [one.name for one in file_attachments(paths[:2])] == ["rig.yaml", "a/rig.yaml"]
+    with pytest.raises(AbraceError, match=r"attachment .*b/a/rig\.yaml: another one is called a/rig\.yaml"):
+        file_attachments(paths)
     with pytest.raises(AbraceError, match=r"attachment .*none: No such file"):
         file_attachments([tmp_path / "none"])
 

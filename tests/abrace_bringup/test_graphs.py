@@ -5,10 +5,13 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 
 from abrace.processes.group import find_executable
 from abrace_bringup.arguments import read_arguments
 from abrace_bringup.graphs import CLOSED_LOOP, IDENTIFICATION, closed_loop, end_of_node, identification
+from abrace_core.errors import AbraceError
+from abrace_core.installed import find_file
 
 PAGE = Path(__file__).parents[2] / "docs/nodes.md"
 
@@ -43,6 +46,23 @@ def test_a_control_law_of_ones_own_takes_the_controllers_place(tmp_path):
     assert found["skyhook"].parameters == {"autostart": True}
     assert found["supervisor"].parameters["inputs"] == ["brace_command=skyhook", "ground_motion=ground_motion"]
     assert not found["logger"].parameters.get("attachments")
+
+
+def test_a_rig_file_and_the_frame_file_that_it_names_go_into_the_bag(tmp_path):
+    rig, frame = tmp_path / "rig.yaml", tmp_path / "frame.yaml"
+    for named, expected in (
+        (str(frame), [str(rig), str(frame)]),
+        ("sac_la_3", [str(rig), str(find_file("sac_la_3", "abrace_plant", "config/frames", ".yaml", "frame"))]),
+        (None, [str(rig)]),
+        (3, [str(rig)]),
+    ):
+        frame.write_text("name: checked by the plant\n")
+        rig.write_text(yaml.safe_dump({"building": {"frame": named}}))
+        found = nodes(IDENTIFICATION, identification, tmp_path, drive="table", rig=str(rig))
+        assert found["logger"].parameters["attachments"] == expected, named
+    rig.write_text("building: {frame: none.yaml}")
+    with pytest.raises(AbraceError, match=r"frame file none\.yaml: no such file"):
+        nodes(IDENTIFICATION, identification, tmp_path, drive="table", rig=str(rig))
 
 
 @pytest.mark.parametrize("drive", ["", "table", "command", "both"])

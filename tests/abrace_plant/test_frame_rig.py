@@ -11,7 +11,7 @@ import yaml
 from abrace_core.errors import AbraceError
 from abrace_plant.frames.file import load_frame
 from abrace_plant.frames.model import building_model, modal_building
-from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.file import load_rig, recorded_rig
 from abrace_plant.rig.model import Rig
 
 CONFIG = Path(__file__).parents[2] / "src/abrace_plant/config"
@@ -71,6 +71,22 @@ def test_a_frame_of_three_storeys_loses_next_to_nothing(tmp_path):
     frequencies, _ = small.building.modes()
     assert frequencies / (2 * np.pi) == pytest.approx([0.990, 3.056, 5.827], rel=4e-4)
     assert np.abs(small.building.frequency_errors).max() < 4e-5
+
+
+def test_a_bags_facts_describe_the_rig_where_the_frame_file_is_no_more(tmp_path):
+    written = content(frame=str(tmp_path / "gone.yaml"))
+    written["braces"] = written["braces"][:3]
+    facts = {"rig_file": yaml.safe_dump(written), "frame_file": (CONFIG / "frames/sac_la_3.yaml").read_text()}
+    assert recorded_rig({"rig": "real"}) is None
+    found = recorded_rig(facts)
+    assert found is not None
+    assert found.building.masses.sum() == pytest.approx(2948980.0)
+    assert found.storey_heights == pytest.approx([3.9624] * 3)
+    with pytest.raises(AbraceError, match=r"rig\.yaml: frame file .*gone\.yaml: no such file"):
+        recorded_rig({"rig_file": facts["rig_file"]})
+    older = recorded_rig({"rig_file": (CONFIG / f"{RIG}.yaml").read_text()})
+    assert older is not None
+    assert older.floors == 20, "an installed frame is found without the fact"
 
 
 def test_the_devices_push_what_they_are_told_however_the_building_moves(rig):

@@ -17,6 +17,7 @@ from same_results import contents
 
 from abrace.processes.group import find_executable
 from abrace_bags import read_facts, read_run, read_topics
+from abrace_plant.rig.file import load_rig, recorded_rig
 
 SKYHOOK = Path(__file__).parents[2] / "examples/skyhook/skyhook/skyhook.py"
 NOISE = "{record: white_noise, rms: 0.25, band: [0.1, 10.0], seed: 1}"
@@ -145,6 +146,32 @@ def test_a_campaign_records_every_sample_shows_progress_and_reports_whoever_list
             assert list(topics[f"/short/{topic}"].log_time) == due, "the samples' time"
         assert topics["/diagnostics"].log_time.max() < seconds * 1e9
     assert not nodes_of(tmp_path)
+
+
+def test_the_bag_of_a_rig_with_a_frame_file_describes_it_alone(tmp_path, environment):
+    configuration = Path(get_package_share_directory("abrace_plant")) / "config"
+    rig, frame = tmp_path / "three.yaml", tmp_path / "frames/three.yaml"
+    frame.parent.mkdir()
+    frame.write_text((configuration / "frames/sac_la_3.yaml").read_text() + "# ours\n")
+    content = yaml.safe_load((configuration / "sac_la_20.yaml").read_text())
+    content |= {"building": {"frame": str(frame)}, "braces": content["braces"][:3]}
+    rig.write_text(yaml.safe_dump(content))
+    path = tmp_path / "frames.yaml"
+    path.write_text(f"name: frames\nrig: three.yaml\nlockstep: true\nsteps: [{SHORT[0]}]\n")
+    process = start(tmp_path, environment, "campaign", str(path))
+    _, errors = process.communicate(timeout=100)
+    assert process.returncode == 0, errors
+    (bags,) = (tmp_path / "bags/frames").iterdir()
+    bag, expected = bags / "shaken", load_rig(rig)
+    attached = read_topics(bag).attachments
+    assert attached == {"three.yaml": rig.read_bytes(), "frames/three.yaml": frame.read_bytes()}
+    frame.unlink()
+    found = recorded_rig(read_facts(bag))
+    assert found is not None
+    assert found.building.stiffness == pytest.approx(expected.building.stiffness)
+    assert start(tmp_path, environment, "report", "results/frames").wait(100) == 0
+    drawn = start(tmp_path, environment, "bag", "animate", str(bag), "--output", "b.gif", "--duration", "0.5")
+    assert drawn.wait(100) == 0
 
 
 def test_a_law_and_a_rig_of_ones_own_run_in_a_campaign_and_the_law_is_in_its_tables(tmp_path, environment):

@@ -21,6 +21,8 @@ from abrace_bringup.arguments import (
     record,
     rig,
 )
+from abrace_core.installed import find_file
+from abrace_core.yaml_text import read_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -142,8 +144,7 @@ def _test(
 ) -> list[NodeSetup]:
     """Logger, the rig's partners by the topic that they publish, the rig, and the supervisor that begins and ends."""
     plant = values["plant"]
-    rig_file = values["rig"] if values["rig"].endswith(".yaml") else ""
-    files = [file for file in (*attachments, values["parameters"], rig_file) if file]
+    files = [file for file in (*attachments, values["parameters"], *_rig_files(values["rig"])) if file]
     supervision = {
         "inputs": [f"{topic}={partner.executable}" for topic, partner in partners.items()],
         "plant": plant,
@@ -165,6 +166,18 @@ def _test(
         NodeSetup(each.package, each.executable, {k: v for k, v in each.parameters.items() if v != []}, each.files)
         for each in setups
     ]
+
+
+def _rig_files(rig: str) -> list[str]:
+    """The file of a `rig` and the frame file that it names; none of an installed rig. The plant checks them."""
+    if not rig.endswith(".yaml"):
+        return []
+    content = read_yaml(rig, "rig")
+    building = content.get("building") if isinstance(content, dict) else None
+    frame = building.get("frame") if isinstance(building, dict) else None
+    if not isinstance(frame, str):
+        return [rig]
+    return [rig, str(find_file(frame, "abrace_plant", "config/frames", ".yaml", "frame"))]
 
 
 def end_of_node(executable: str, returncode: int, shutting_down: bool) -> str | None:

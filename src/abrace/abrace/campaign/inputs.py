@@ -12,7 +12,6 @@ from abrace.campaign.done import checksum, file_checksum
 from abrace.campaign.tasks import RigTest
 from abrace_bags.metadata import METADATA_FILE, installed_versions
 from abrace_plant.devices.file import calibration_of
-from abrace_plant.rig.file import frame_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -63,7 +62,7 @@ class Inputs:
         else:
             lab = self._laboratories.behind(task)[0]
         devices = (lab.device_file, calibration_of(lab.device_file)) if lab.device_file is not None else ()
-        found |= _files(str(path) for path in (lab.rig_file, frame_of(lab.rig_file), *devices) if path is not None)
+        found |= _files(str(path) for path in (lab.rig_file, lab.frame_file, *devices) if path is not None)
         words = sorted(set(_words(text)))
         earlier = {step.name for step in self._campaign.steps[:number]}
         found |= {f"step {word}": made.get(word, "") for word in words if word in earlier}

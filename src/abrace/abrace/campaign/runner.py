@@ -344,6 +344,8 @@ class Runner:
             "lockstep": str(self.campaign.in_lockstep(test)).lower(),
             "controller": test.controller_name,
         }
+        if lab.frame_file is not None:
+            facts["frame_file"] = lab.frame_file.read_text(encoding="utf-8")
         if lab.setup.simulated:
             facts["sensor_seed"] = str(seed)
         for key in ("disconnected_braces", "sensor_faults", "force_limit"):
@@ -368,8 +370,8 @@ class Runner:
         return facts
 
     def attachments(self, test: RigTest, lab: Laboratory) -> list[Path]:
-        """The files of a `test` in a `lab` that its bag contains: rig, device, controller, its model, record."""
-        paths = [lab.rig_file]
+        """The files of a `test` in a `lab` that its bag contains: rig, frame, device, controller, its model, record."""
+        paths = [lab.rig_file, *([lab.frame_file] if lab.frame_file is not None else [])]
         if lab.device_file is not None:
             paths += [path for path in (lab.device_file, calibration_of(lab.device_file)) if path is not None]
         if isinstance(test.controller, str):

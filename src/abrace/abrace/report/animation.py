@@ -20,6 +20,7 @@ from abrace_core.drawing import MEASURED, REFERENCE
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_atomically
 from abrace_core.response import shown_unit, unit_system
+from abrace_plant.rig.file import recorded_rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -186,9 +187,11 @@ def _span(
 
 
 def _storey_height(run: Run) -> float:
-    """The storey height from the rig file in the bag [m]."""
+    """The storey height from the rig file in the bag [m], of a frame the mean."""
     content = yaml.safe_load(str(run.facts.get("rig_file", ""))) or {}
-    return float(content.get("building", {}).get("storey_height", STOREY))
+    building = content.get("building", {})
+    rig = recorded_rig(run.facts) if "frame" in building else None
+    return rig.storey_height if rig else float(building.get("storey_height", STOREY))
 
 
 def _round_below(value: float) -> float:

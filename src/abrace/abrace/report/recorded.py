@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +13,7 @@ import yaml
 
 from abrace_bags import read_runs
 from abrace_core.errors import AbraceError
-from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.file import recorded_rig
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -131,10 +130,8 @@ def _test(directory: Path, step: str, parameters: Path) -> RecordedTest:
 
 def rigs_of(tests: list[RecordedTest]) -> list[Rig]:
     """The rigs of the `tests`, each once, as their files in the bags have them."""
-    texts = dict.fromkeys(str(test.facts["rig_file"]) for test in tests if "rig_file" in test.facts)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "rig.yaml"
-        return [load_rig(path) for text in texts if path.write_text(text, encoding="utf-8")]
+    facts = {(test.facts.get("rig_file"), test.facts.get("frame_file")): test.facts for test in tests}
+    return [rig for each in facts.values() if (rig := recorded_rig(each)) is not None]
 
 
 def checksum(path: Path) -> str:

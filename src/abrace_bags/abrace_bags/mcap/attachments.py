@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def file_attachments(paths: Sequence[Path]) -> list[Attachment]:
-    """Files as MCAP attachments, each under its own name.
+    """Files as MCAP attachments, each under its own name; where another file has it, with the folder: `frames/a.yaml`.
 
     Parameters
     ----------
@@ -27,17 +27,18 @@ def file_attachments(paths: Sequence[Path]) -> list[Attachment]:
     Raises
     ------
     AbraceError
-        If one can't be read, or two have the same name.
+        If one can't be read, or two have the same name in folders of the same name.
     """
     attachments: dict[str, Attachment] = {}
     for path in paths:
-        if path.name in attachments:
-            raise AbraceError(f"attachment {path}: another one is called {path.name}, expected different names")
+        name = f"{path.resolve().parent.name}/{path.name}" if path.name in attachments else path.name
+        if name in attachments:
+            raise AbraceError(f"attachment {path}: another one is called {name}, expected different names")
         try:
             # MCAP has no time before 1970
             content, modified = path.read_bytes(), max(path.stat().st_mtime_ns, 0)
         except OSError as error:
             raise AbraceError(f"attachment {path}: {error.strerror}") from error
         media_type = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
-        attachments[path.name] = Attachment(modified, time.time_ns(), path.name, media_type, content)
+        attachments[name] = Attachment(modified, time.time_ns(), name, media_type, content)
     return list(attachments.values())

@@ -14,9 +14,10 @@ from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import NameValidationException
 
 from abrace.report.node_table import NodeReports
+from abrace_bags import read_facts
 from abrace_bringup.nodes.live_topics import LiveTopics
 from abrace_bringup.nodes.viewer_operations import Operations
-from abrace_bringup.viewing.bag_source import BagSource, recorded_rig
+from abrace_bringup.viewing.bag_source import BagSource
 from abrace_bringup.viewing.display import Display
 from abrace_bringup.viewing.layout import layout
 from abrace_bringup.viewing.named_channels import RESPONSE_TYPE, names_of
@@ -24,7 +25,7 @@ from abrace_bringup.viewing.page import PageServer, facts
 from abrace_bringup.viewing.server import NODES, ViewServer
 from abrace_core.errors import AbraceError
 from abrace_core.node import DIAGNOSTICS, DISPLAY_PERIOD, AbraceNode, Parameter, RCLError, find_file, rcl_message, run
-from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.file import load_rig, recorded_rig
 from abrace_plant.rig.model import Rig
 
 PARAMETERS = [
@@ -98,7 +99,7 @@ class Viewer(AbraceNode):
     def find_rig(self) -> Rig:
         """The rig that is drawn."""
         given = self.parameters
-        rig = recorded_rig(given.bag) if given.bag and not given.rig else None
+        rig = recorded_rig(read_facts(given.bag)) if given.bag and not given.rig else None
         return rig or load_rig(find_file(given.rig or DEFAULT_RIG, "abrace_plant", "config", ".yaml", "rig"))
 
     def topic_of_rig(self) -> str:

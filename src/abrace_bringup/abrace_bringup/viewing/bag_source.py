@@ -3,22 +3,18 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from abrace_bags import message_definition, read_facts
+from abrace_bags import message_definition
 from abrace_bags.playback import BagPlayback, check_type
 from abrace_bags.raw import read_raw
 from abrace_core.errors import AbraceError
-from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from abrace_bags import MessageDefinition
     from abrace_bags.survey import RawMessage
-    from abrace_plant.rig.model import Rig
 
 
 class BagSource:
@@ -78,20 +74,3 @@ class BagSource:
     def time(self, now: float) -> int:
         """The time of the bag [ns] at `now` [s] of that clock."""
         return self._playback.bag_time(now)
-
-
-def recorded_rig(bag: str) -> Rig | None:
-    """The rig whose file is in a `bag`; None: there is none in it.
-
-    Raises
-    ------
-    AbraceError
-        If there is no such bag, or the file in it is wrong.
-    """
-    text = read_facts(bag).get("rig_file")
-    if text is None:
-        return None
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "rig.yaml"
-        path.write_text(text, encoding="utf-8")
-        return load_rig(path)

@@ -71,15 +71,19 @@ class BuildingContent(Checked):
     hysteresis: list[_Hysteresis] = []
 
 
-def read_building(content: BuildingContent) -> tuple[Building, float, list[Number], list[Number]]:
+def read_building(
+    content: BuildingContent, frame: Path | None = None
+) -> tuple[Building, float, list[Number], list[Number]]:
     """The building of a rig file's `content`, its storey height [m], and the numbers that state stiffness and damping.
+
+    `frame`: the frame file; None: the one that `content` names, if it names one.
 
     Raises
     ------
     AbraceError
         Naming the key, the value and what was expected.
     """
-    linear, height, stiffness, damping = _stated(content) if content.frame is None else _of_frame(content)
+    linear, height, stiffness, damping = _stated(content) if content.frame is None else _of_frame(content, frame)
     if content.friction:
         expect_one_each(content.friction, "building.friction", linear.floors, "storeys")
     springs = _springs(content, linear.masses, linear.stiffness)
@@ -110,12 +114,12 @@ def _stated(content: BuildingContent) -> tuple[Building, float, list[Number], li
     return Building(masses, stiffness, damping), height, stated_stiffness, stated_damping
 
 
-def _of_frame(content: BuildingContent) -> tuple[Building, float, list[Number], list[Number]]:
+def _of_frame(content: BuildingContent, path: Path | None) -> tuple[Building, float, list[Number], list[Number]]:
     """A building that a frame file describes: as from `read_building`, without friction and springs."""
     for key in OF_FRAME:
         expect(getattr(content, key) is None, f"building.{key}", "given", "none: building.frame has it")
     assert content.frame is not None
-    frame = load_frame(frame_file(content.frame))
+    frame = load_frame(path or frame_file(content.frame))
     levels = level_building(frame)
     stiffness = _leaning(frame.masses, levels.stiffness, frame.heights) if content.p_delta else levels.stiffness
     building = Building(

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -23,7 +25,7 @@ from abrace_plant.rig.table_dynamics import TableDynamics
 from abrace_plant.rig.table_file import TableContent
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Mapping
 
 
 class _Actuator(Checked):
@@ -125,8 +127,15 @@ class _Rig(Checked):
     interlocks: _Interlocks = _Interlocks()
 
 
-def load_rig(path: Path | str) -> Rig:
+def load_rig(path: Path | str, frame: Path | None = None) -> Rig:
     """Read and check a rig file.
+
+    Parameters
+    ----------
+    path
+        The rig file.
+    frame
+        The frame file; None: the one that the rig file names, if it names one.
 
     Raises
     ------
@@ -135,7 +144,7 @@ def load_rig(path: Path | str) -> Rig:
     """
     content = read_config(path, _Rig, "rig")
     try:
-        return _rig(content)
+        return _rig(content, frame)
     except AbraceError as error:
         raise AbraceError(f"rig file {path}: {error}") from error
 
@@ -152,8 +161,29 @@ def frame_of(path: Path | str) -> Path | None:
     return None if named is None else frame_file(named)
 
 
-def _rig(content: _Rig) -> Rig:
-    building, storey_height, stated_stiffness, stated_damping = read_building(content.building)
+def recorded_rig(facts: Mapping[str, str]) -> Rig | None:
+    """The rig of a bag, from its `facts` `rig_file` and `frame_file`, which are the files' texts; None: not recorded.
+
+    A bag without `frame_file` was recorded by an older version: then the frame file is the one that the rig file names.
+
+    Raises
+    ------
+    AbraceError
+        If a file is wrong, or the frame file is neither in the bag nor on this machine.
+    """
+    if "rig_file" not in facts:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        path, frame = Path(folder) / "rig.yaml", Path(folder) / "frame.yaml"
+        path.write_text(facts["rig_file"], encoding="utf-8")
+        if "frame_file" not in facts:
+            return load_rig(path)
+        frame.write_text(facts["frame_file"], encoding="utf-8")
+        return load_rig(path, frame)
+
+
+def _rig(content: _Rig, frame: Path | None) -> Rig:
+    building, storey_height, stated_stiffness, stated_damping = read_building(content.building, frame)
     floors, groups = building.floors, len(content.braces)
     for i, group in enumerate(content.braces):
         expect(group.floor <= floors, f"braces.{i}.floor", group.floor, f"a floor from 1 to {floors}")
