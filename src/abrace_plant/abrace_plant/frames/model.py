@@ -112,7 +112,7 @@ def building_model(building: FrameBuilding, devices: Sequence[int] = (), modes: 
         (storeys,) how many equal devices with one command each storey has, the lowest first; a storey without one has
         no command. They push the level above and the one below, each frame with its share; empty: none at all.
     modes
-        Excited modes that count; 0: all.
+        Excited modes that count, the slowest; 0: all. `truncation_error` tells what the others would add.
 
     Returns
     -------
@@ -124,13 +124,13 @@ def building_model(building: FrameBuilding, devices: Sequence[int] = (), modes: 
     modal = modal_building(building, modes)
     count, levels = len(modal.frequencies), len(building.levels)
     x, v = slice(0, count), slice(count, 2 * count)
-    pushed = device_directions(devices, levels)
-    a, b = np.zeros((2 * count, 2 * count)), np.zeros((2 * count, 1 + pushed.shape[1]))
+    forces = _modal_forces(building, modal, devices)
+    commands = forces.shape[1] - 1
+    a, b = np.zeros((2 * count, 2 * count)), np.zeros((2 * count, 1 + commands))
     a[x, v] = np.eye(count)
     a[v, x] = np.diag(-(modal.frequencies**2))
     a[v, v] = np.diag(-2 * modal.damping_ratios * modal.frequencies)
-    b[v, 0] = -modal.ground
-    b[v, 1:] = modal.levels.T @ pushed / building.frames
+    b[v] = forces
     moves = np.zeros((levels, 2 * count))
     moves[:, x] = modal.levels
     accelerates = modal.levels @ a[v]
@@ -146,10 +146,57 @@ def building_model(building: FrameBuilding, devices: Sequence[int] = (), modes: 
         b,
         np.vstack([moves, velocities, accelerates, bends]),
         np.vstack([silent, silent, through, np.zeros((len(bends), b.shape[1]))]),
-        (signals.GROUND, *(signals.command_names(pushed.shape[1]) if pushed.shape[1] else ())),
+        (signals.GROUND, *(signals.command_names(commands) if commands else ())),
         tuple(names),
         provenance={"frame": building.name, "modes": count},
     )
+
+
+class TruncationError(NamedTuple):
+    """What a building's model with some of its excited modes lacks, beside that with all of them."""
+
+    frequency: float
+    """[rad/s] of the first mode left out; infinite where none is."""
+    mass: float
+    """Share of the mass moved by the ground that the modes left out have."""
+    static: NDArray[np.float64]
+    """(levels, inputs) error of each level's displacement under a constant input, over the greatest displacement of any
+    level under this input."""
+    bound: NDArray[np.float64]
+    """(levels, inputs) likewise if the modes left out never cancelled each other: bounds it below `frequency`."""
+
+
+def truncation_error(building: FrameBuilding, devices: Sequence[int] = (), modes: int = 0) -> TruncationError:
+    """The error of `building_model` with these arguments.
+
+    A mode left out, of frequency w_r, adds c_r / (w_r^2 - w^2 + 2 i z_r w_r w) to a level's displacement: `static` has
+    the sum of c_r / w_r^2, `bound` that of |c_r| / w_r^2. At a frequency w below `frequency`, w_1, the error of the
+    displacement is therefore at most `bound` / (1 - (w / w_1)^2), of the velocity w times, of the absolute acceleration
+    w^2 times as much. Under a constant input accelerations are exact: that of the ground, or none.
+
+    Parameters
+    ----------
+    building, devices, modes
+        As in `building_model`.
+    """
+    modal = modal_building(building)
+    kept = modes or len(modal.frequencies)
+    forces = _modal_forces(building, modal, devices)
+    static = modal.levels[:, :, None] * (forces / modal.frequencies[:, None] ** 2)
+    left_out = static[:, kept:] / np.abs(static.sum(axis=1)).max(axis=0)
+    masses = modal.ground**2
+    return TruncationError(
+        float(modal.frequencies[kept]) if kept < len(modal.frequencies) else np.inf,
+        float(masses[kept:].sum() / masses.sum()),
+        np.abs(left_out.sum(axis=1)),
+        np.abs(left_out).sum(axis=1),
+    )
+
+
+def _modal_forces(building: FrameBuilding, modal: ModalBuilding, devices: Sequence[int]) -> NDArray[np.float64]:
+    """(modes, inputs) force on each mode for the ground's acceleration and for each command."""
+    pushed = device_directions(devices, len(building.levels))
+    return np.column_stack([-modal.ground, modal.levels.T @ pushed / building.frames])
 
 
 def device_directions(devices: Sequence[int], levels: int) -> NDArray[np.float64]:
