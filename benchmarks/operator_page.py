@@ -80,7 +80,8 @@ def click_to_stop(rig: Rig, tab: Tab) -> float | None:
     try:
         rig.begin()
         rig.until_driven(FORCE)
-    except AssertionError:
+    except AssertionError as error:
+        print(f"not driven: {error}; {rig.graph.reported()}", file=sys.stderr, flush=True)
         return None
     clicked = time.time_ns()
     tab.mouse("mousePressed", x, y, wait=False)
