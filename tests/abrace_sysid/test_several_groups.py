@@ -86,7 +86,7 @@ def test_a_group_that_no_test_excites_is_named(five, rest, table):
 
 def test_a_group_tested_alone_and_with_the_other_is_refused(five, rest, table):
     mixed = commands_of(five, rest, "each group alone")[:1] + commands_of(five, rest, "noise at once")
-    with pytest.raises(AbraceError, match="expected every command either alone or always with the same ones"):
+    with pytest.raises(AbraceError, match="expected every command either alone or always with the same commands"):
         identify(table, mixed, OPTIONS)
 
 

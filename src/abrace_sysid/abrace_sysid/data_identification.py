@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Identification from measured data of any structure: the chain of the rig's own tests, without the rig.
+"""Identification from measured data of any structure, without knowledge of what the channels mean.
 
-transfer functions  from all inputs at once, by the local rational method
-modes               found one by one (`mode_search`), then all by maximum likelihood from the whole record
-model               those modes and what the modes above the band leave in it: one state-space model for all inputs
+transfer functions  from all inputs at once, by default by the local rational method
+modes               found one by one (`mode_search`), then fitted together to the whole record by maximum likelihood
+model               one state-space model for all inputs: these modes, and residual terms for modes above the band
 """
 
 from __future__ import annotations
@@ -31,10 +31,13 @@ if TYPE_CHECKING:
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 LEAST_LINES = 10
-"""By default the band begins there: slower modes hardly oscillate within the record."""
+"""The default band begins at this multiple of the record's frequency resolution (1 / duration).
+
+A slower mode completes fewer than ten periods within the record.
+"""
 
 LEAST_SAMPLES = 400
-"""Shorter records have too few lines, of each half, for anything but one or two modes."""
+"""Samples that a record must have at least: half of a shorter one has too few lines for more than one or two modes."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +47,12 @@ class DataOptions:
     Parameters
     ----------
     band
-        [Hz] within which the data are used, and all inputs are excited; None: from ten lines to half the sample rate.
+        [Hz] that is used; all inputs must be excited in it. None: from ten times the frequency resolution to half the
+        sample rate.
     most_modes
-        Pairs, and real poles, at most.
+        Greatest number of modes (pole pairs and real poles) that are searched.
     transfer_function
-        Method and settings.
+        Method and settings of the transfer functions.
     """
 
     band: tuple[float, float] | None = None
@@ -58,22 +62,22 @@ class DataOptions:
 
 @dataclass(frozen=True)
 class DataIdentification:
-    """The model of a structure, with what it was made from.
+    """The identified model of a structure, and the estimates from which it was computed.
 
     Parameters
     ----------
     data
-        The outputs that respond.
+        The data used, without the channels that do not respond to the inputs.
     band
         [Hz] that was used.
     responses
         Transfer functions from each input.
     estimate
-        The fit by maximum likelihood.
+        Poles and mode shapes fitted by maximum likelihood.
     model
-        The continuous model that it is.
+        The same fit as a continuous state-space model.
     warnings
-        On the data, one sentence each.
+        About the data, one sentence each.
     """
 
     data: MeasuredData
@@ -85,7 +89,7 @@ class DataIdentification:
 
     @property
     def pairs(self) -> tuple[PoleInterval, ...]:
-        """Modes within the band with their intervals, slowest first; without pairs so damped that they are none."""
+        """Modes within the band with their intervals, lowest frequency first; without heavily damped pole pairs."""
         low, high = (2 * np.pi * edge for edge in self.band)
         modes = [pair for pair in self.estimate.pairs() if low <= pair.frequency <= high]
         return tuple(pair for pair in modes if pair.damping < HEAVY_DAMPING)
@@ -105,7 +109,7 @@ def identify_data(
     options
         By default those of `DataOptions`.
     progress
-        Called with the step that begins and the fraction done.
+        Called at the beginning of each step, with the step's name and the fraction of the work done.
 
     Raises
     ------

@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 
 def write_data_results(found: DataIdentification, held_out: MeasuredData, output: Path, mat: bool) -> str:
-    """Write model.json, poles.json and prediction.json, and say what is in them.
+    """Write model.json, poles.json and prediction.json, and return a summary for the terminal.
 
     Parameters
     ----------
     found
         The identification.
     held_out
-        The rest of the record; without samples, the data themselves are predicted.
+        The part of the record that was not used; if empty, the identification data are predicted.
     output
-        Folder.
+        Folder for the files.
     mat
-        Whether the model is written as a MATLAB file too.
+        Whether the model is also written as a MATLAB file.
     """
     judged, what = (held_out, "held out") if len(held_out.outputs) else (found.data, "used")
     share = variance_accounted_for(found.model, judged)

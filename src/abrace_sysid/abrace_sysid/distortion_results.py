@@ -18,13 +18,14 @@ if TYPE_CHECKING:
     from abrace_sysid.spectra.measured_tests import TestData
 
 KINDS = ("noise", "odd", "even")
-"""Levels, as shares of the response."""
+"""The levels that are given, each as a share of the response."""
 
 
 def distortion_shares(data: TestData) -> dict[str, dict[str, float]]:
-    """Of each channel noise, odd and even distortion, rms over band and realizations, as shares of its response.
+    """Noise, odd and even distortion of each channel as shares of its response (rms over band and realizations).
 
-    The noise is taken out of the distortion. NaN: no such line was left out. Empty: the tests were no multisines.
+    The noise's power is subtracted from the distortion. NaN: the multisine leaves out no odd (or even) line, so this
+    distortion cannot be measured. An empty result: the tests were not multisines.
 
     Parameters
     ----------
@@ -39,12 +40,14 @@ def distortion_shares(data: TestData) -> dict[str, dict[str, float]]:
 
 
 def write_distortion(tests: Sequence[TestData], path: Path) -> str:
-    """Write shares and levels of the tests with multisines; in words the worst channel of each input, empty: none was.
+    """Write the distortion of tests with multisines, and return a line for each input with its most distorted channel.
+
+    The text is empty if no test was a multisine.
 
     Parameters
     ----------
     tests
-        Of each input.
+        The tests of each input.
     path
         The JSON file; not written if no test was a multisine.
     """
@@ -77,7 +80,7 @@ def write_distortion(tests: Sequence[TestData], path: Path) -> str:
 
 
 def _or_null(values: Any) -> list[Any]:
-    """Lists with None for each number that is not finite."""
+    """The numbers as nested lists, with None for each that is not finite."""
     return [_or_null(value) if np.ndim(value) else (float(value) if math.isfinite(value) else None) for value in values]
 
 

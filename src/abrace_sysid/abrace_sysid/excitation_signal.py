@@ -20,14 +20,14 @@ def excitation_signal(given: Any, groups: int) -> NDArray[np.float64]:
     Parameters
     ----------
     given
-        Values of the parameters of the node `excitation`.
+        Parameter values of the node `excitation`.
     groups
-        How many brace groups there are.
+        Number of brace groups.
 
     Raises
     ------
     AbraceError
-        If there is no such signal.
+        If the parameters do not describe a possible signal.
     """
     rate, band = given.sample_rate, (given.band[0], given.band[1])
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction of measured data whose initial state is not known: simulated from the inputs, the free response fitted."""
+"""Prediction of measured data with unknown initial state: forced response simulated, free response fitted."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @takes_models
 def variance_accounted_for(model: LinearModel, data: MeasuredData) -> NDArray[np.float64]:
-    """(outputs,) 1 less the variance of the error of `predicted` over that of the measured output.
+    """(outputs,) 1 minus the ratio of the variances of prediction error and measured output.
 
     Parameters
     ----------
@@ -33,15 +33,15 @@ def variance_accounted_for(model: LinearModel, data: MeasuredData) -> NDArray[np
 
 @takes_models
 def predicted(model: LinearModel, data: MeasuredData) -> NDArray[np.float64]:
-    """(samples, outputs) the model's response to the inputs, from the initial state that fits the outputs best.
+    """(samples, outputs) the model's response to the inputs, with the initial state that fits the outputs best.
 
     Parameters
     ----------
     model
-        Stable; with the inputs of the data. Of a continuous one the data's inputs are taken as band-limited, of a
-        discrete one at its samples.
+        Stable, with inputs and outputs that the data contain. For a continuous model the inputs are taken as
+        band-limited; a discrete model is simulated sample by sample.
     data
-        The test; its means are subtracted.
+        The test. The inputs' means are subtracted; the outputs' means are kept.
     """
     inputs = data.channels(model.inputs)
     measured = data.channels(model.outputs)

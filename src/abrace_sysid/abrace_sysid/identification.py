@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole chain: recorded tests with one input or the other to models (Eqs. 1 to 10), a consistent one among them.
+"""Identification of a rig: from recorded table tests and command tests to state-space models (Eqs. 1 to 10).
 
-transfer functions  of each test, from all its bags together
-poles               of the table test (A1), of the command test (A2), and one set common to both
-consistent model    numerators of all channels for both inputs over the common poles, copies merged: for prediction
-superposed model    Eqs. (6) and (7): A1, A2 and, among those, the building's poles again (A3); 24 states for 3 floors
-reduced model       the consistent one balanced and cut (Eq. 9): for design
+transfer functions  of each input, estimated from all its tests together
+poles               of the table tests (A1), of the command tests (A2), and one set common to both
+consistent model    common poles for all inputs, numerators fitted for every channel, each pole once: for prediction
+superposed model    Eqs. (6) and (7): poles A1, poles A2, and the building's poles again (A3); 24 states for 3 floors
+reduced model       the consistent model after balanced truncation (Eq. 9): for design
 """
 
 from __future__ import annotations
@@ -41,36 +41,38 @@ if TYPE_CHECKING:
 
 
 LAG_DIFFERENCE = 0.5
-"""Greatest difference of the lag that the tests show from the one given, as a share of it, without a warning."""
+"""A warning is given if a servo's identified lag differs from `servo_lag` by more than this share of `servo_lag`."""
 
 POOR_FIT = 0.1
-"""Greatest residual of a channel without a warning, as a share of its response, rms over the band."""
+"""A warning is given if a channel's residual exceeds this share of its response (rms over the band)."""
 
 
 @dataclass(frozen=True)
 class Identification:
-    """The models of a rig, with the transfer functions and poles that they were made from.
+    """The identified models of a rig, and the transfer functions and poles from which they were computed.
 
     Parameters
     ----------
     table, commands
-        The tests on the table, and of each command, with their transfer functions.
+        The table tests, and the tests of each command, with their transfer functions.
     poles
-        Poles of each test and of both, with their uncertainty where the method gives it.
+        Poles of the table tests, of the command tests and of both together, with their uncertainty if the method
+        estimates it.
     model
-        The consistent model, for prediction; the servos' lags are states, and their delays input delays.
+        The consistent model, for prediction. With maximum likelihood the servos' lags are states and their delays are
+        input delays.
     superposed
-        Eqs. (6) and (7), the paper's.
+        The paper's model, Eqs. (6) and (7).
     whole
-        The consistent model that was reduced: each servo's lag and delay the delay of its command.
+        The consistent model before reduction, with each servo's lag and delay as the input delay of its command.
     reduction
         Eq. (9): the reduced model and the Hankel singular values of `whole`.
     scales
-        The balancing units: rms of the inputs in the tests, and of each output under such inputs.
+        The balancing units: rms of each input in the tests, and rms of each output under these inputs.
     warnings
-        On the bags and on the fit, each sentence once.
+        About the bags and the fit, one sentence each, without repetitions.
     covariance
-        Of the parameters of `model` (`abrace_core.model_ensemble`); None where the method of the poles gives none.
+        Of the parameters of `model`, ordered as in `abrace_core.model_ensemble`; None if the method estimates none.
     """
 
     table: TestData
@@ -91,7 +93,7 @@ class Identification:
 
     @property
     def table_response(self) -> FrequencyResponse:
-        """Transfer functions from the table's acceleration."""
+        """Transfer functions from the table's acceleration (of the first table test, if they are periodic)."""
         return self.table.responses[0]
 
     @property
@@ -101,12 +103,12 @@ class Identification:
 
     @property
     def command_response(self) -> FrequencyResponse:
-        """Transfer functions from the first command."""
+        """Transfer functions from the first command (of its first test, if they are periodic)."""
         return self.command.responses[0]
 
     @property
     def hankel_singular_values(self) -> NDArray[np.float64]:
-        """(states,) of the whole model in balancing units, greatest first."""
+        """(states,) of the model before reduction, in balancing units, greatest first."""
         return self.reduction.hankel_singular_values
 
 
@@ -121,14 +123,15 @@ def identify(
     Parameters
     ----------
     table
-        One test or several: noise or a multisine on the table, zero command.
+        One or several table tests: noise or a multisine on the table, commands zero.
     command
-        Likewise with commands, the table at rest; or the same tests, if both ran at once: noise that is not correlated,
-        or multisines on lines of their own. Of several brace groups each alone, or all at once likewise.
+        One or several command tests: noise or a multisine as command, the table at rest. Several brace groups are
+        excited one after the other or all at once. If table and commands were excited at once, give the same tests
+        twice. Inputs excited at once must be uncorrelated noise, or multisines that excite different lines.
     options
         By default those of `IdentificationOptions`.
     progress
-        Called with the step that begins and the fraction done.
+        Called at the beginning of each step, with the step's name and the fraction of the work done.
 
     Raises
     ------
@@ -152,7 +155,7 @@ def identify(
     progress("transfer functions from the table", 0.05)
     noise_on_both: tuple[str, ...] = ()
     if same_tests and not find_period(held_input(tables[0], signals.GROUND)):
-        # where all are excited; each alone would have the leakage of the others
+        # the band that all inputs excite: estimated one by one, each response would contain the others' leakage
         low, high = (f(*edges) for f, *edges in zip((max, min), options.table_band, options.command_band, strict=True))
         together = _test_data(tables, (signals.GROUND, *names), (low, high), options)
         from_table, from_commands = together[0], together[1:]
@@ -215,7 +218,7 @@ def identify(
 
 
 def _misfits(model: LinearModel, data: TestData) -> tuple[str, ...]:
-    """A sentence if the model leaves much more of a test's channels unexplained than their noise."""
+    """A warning if a channel's residual exceeds POOR_FIT and twice its noise, each as a share of the response."""
     measured = data.responses[0]
     noise = np.sqrt(np.mean(measured.sigma**2, axis=0) / np.mean(np.abs(measured.response) ** 2, axis=0))
     left = unexplained(model, measured)
@@ -232,7 +235,7 @@ def _misfits(model: LinearModel, data: TestData) -> tuple[str, ...]:
 def _lags_that_differ(
     lags: Mapping[str, float], commands: Sequence[TestData], options: IdentificationOptions
 ) -> list[str]:
-    """A sentence for each command whose servo's lag, as measured, is far from that of the bench test."""
+    """A warning for each command whose identified servo lag is far from the bench test's (`servo_lag`)."""
     given = options.servo_lag
     return [
         f"{data.source}: {data.input} lags by {1e3 * lags[data.input]:.2g} ms, servo_lag is {1e3 * given:.2g} ms: the "
@@ -243,14 +246,14 @@ def _lags_that_differ(
 
 
 def _intensity(data: TestData) -> float:
-    """Rms of an input in its tests."""
+    """Rms of an input over all its tests."""
     return float(np.sqrt(np.mean([np.mean(held_input(run, data.input) ** 2) for run in data.runs])))
 
 
 def _superposed(
     table: TestData, commands: Sequence[TestData], poles: PoleFit, delays: Mapping[str, float]
 ) -> LinearModel:
-    """Eqs. (3) to (7): parts with poles of their own, one of the table and two of each command."""
+    """Eqs. (3) to (7): one part for the table, and two for each command (accelerations; all other outputs)."""
     accelerations = [name for name in table.outputs if name.startswith("a")]
     others = [name for name in table.outputs if name not in accelerations]
 
@@ -268,7 +271,7 @@ def _superposed(
 
 
 def _command_tests(runs: tuple[Run, ...], options: IdentificationOptions) -> tuple[TestData, ...]:
-    """The tests of each command: alone, or all that were excited at once."""
+    """The tests grouped by command; commands that were excited at once are estimated together."""
     names = runs[0].command_names
     kinds: dict[tuple[str, ...], list[Run]] = {}
     for run in runs:
@@ -280,8 +283,8 @@ def _command_tests(runs: tuple[Run, ...], options: IdentificationOptions) -> tup
             if data.input in found:
                 others = ", ".join(run.source for run in found[data.input].runs)
                 raise AbraceError(
-                    f"{data.source}: {data.input} is one of {' and '.join(excited)} excited here, not so in {others}; "
-                    "expected every command either alone or always with the same ones"
+                    f"{data.source}: {data.input} is excited here in the set {' and '.join(excited)}, but in another "
+                    f"set in {others}; expected every command either alone or always with the same commands"
                 )
             found[data.input] = data
     missing = [name for name in names if name not in found]
@@ -297,7 +300,7 @@ def _test_data(
     band: tuple[float, float],
     options: IdentificationOptions,
 ) -> tuple[TestData, ...]:
-    """Check the tests of inputs that were excited together, and estimate the transfer functions of each."""
+    """Check the tests of inputs that were excited at once, and estimate the transfer functions of each input."""
     periods = [max((find_period(held_input(run, name)) or 0 for name in names), default=0) or None for run in runs]
     periodic = [period is not None for period in periods]
     named = " and ".join(names)
@@ -320,7 +323,7 @@ def _test_data(
 
 
 def _repeated_realizations(runs: Sequence[Run], names: Sequence[str]) -> tuple[str, ...]:
-    """A sentence if multisines of several tests have the same phases."""
+    """A warning if the multisines of two tests have the same phases."""
     for name in names:
         for one, other in combinations(runs, 2):
             if same_realization(held_input(one, name), held_input(other, name)):
@@ -337,7 +340,13 @@ def _check_options(options: IdentificationOptions) -> None:
 
 
 def _check_rig(tables: Sequence[Run], commands: Sequence[Run], options: IdentificationOptions) -> None:
-    """That there are tests with table and commands, of one rig."""
+    """Check that there are table tests and command tests, all of the same rig.
+
+    Raises
+    ------
+    AbraceError
+        If not, or `command_order` is not possible.
+    """
     for kind, runs in (("table", tables), ("command", commands)):
         if not runs:
             raise AbraceError(f"identification: no {kind} test, expected at least one")

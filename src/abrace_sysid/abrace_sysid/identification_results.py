@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of an identification: its models, poles and nonlinear distortion."""
+"""The files that an identification writes: models, poles and nonlinear distortion."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
 
 
 def write_identification(found: Identification, output: Path, mat: bool = False) -> str:
-    """Write model.json, superposed.json, reduced.json, poles.json and, of multisines, distortion.json.
+    """Write model.json, superposed.json, reduced.json, poles.json and, if a test was a multisine, distortion.json.
 
     Parameters
     ----------
     found
         The identification.
     output
-        Folder.
+        Folder for the files.
     mat
-        Whether the models are written as MATLAB files too.
+        Whether the models are also written as MATLAB files.
 
     Returns
     -------
     str
-        The poles, and the worst distortion, in words.
+        A summary for the terminal: the poles, and the channel with the greatest distortion.
     """
     for name, model in (("model", found.model), ("superposed", found.superposed), ("reduced", found.reduced)):
         save_model(model, output / f"{name}.json", found.covariance if model is found.model else None)

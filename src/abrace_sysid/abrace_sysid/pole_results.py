@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pole pairs with their intervals, as text and as a file."""
+"""Pole pairs with their uncertainty, as text (95 % intervals) and as a file (standard deviations)."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 
 def write_poles(pairs: Mapping[str, Sequence[PoleInterval]], path: Path) -> None:
-    """Write the `pairs` by the test that they are from to the JSON file `path`; null where there is no deviation."""
+    """Write the `pairs` of each test to the JSON file `path`; a standard deviation that is not known becomes null."""
     content = {test: [_as_json(pair) for pair in values] for test, values in pairs.items()}
     write_text(path, json.dumps(content, indent=1) + "\n")
 
 
 def poles_text(pairs: Sequence[PoleInterval]) -> str:
-    """The `pairs` as lines of rad/s and damping ratio, each with its 95 % interval, where there is one."""
+    """One line for each of the `pairs`: rad/s and damping ratio, each with its 95 % interval if that is known."""
     return "\n".join(
         f"  {_text(pair.frequency, pair.frequency_deviation)}  {_text(pair.damping, pair.damping_deviation)}"
         for pair in pairs

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of the validity of an identification: validity.json and the figure that is to be read first."""
+"""The files with the verdict on an identification: validity.json and validity.png."""
 
 from __future__ import annotations
 
@@ -17,6 +17,6 @@ if TYPE_CHECKING:
 
 
 def write_validity(judged: Judgement, output: Path) -> None:
-    """Write validity.json and validity.png of what was `judged` into the folder `output`."""
+    """Write validity.json and validity.png for the judgement `judged` into the folder `output`."""
     write_text(output / "validity.json", json.dumps(judged.validity.content, indent=1) + "\n")
     save_figure(validity_figure(judged.validity, judged.residuals), output / "validity.png")
