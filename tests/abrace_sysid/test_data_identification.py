@@ -193,7 +193,7 @@ MISTAKES = {
     "a text for a number": ({"path": "bad.csv"}, "expected a line of names, then numbers"),
     "no such column": ({"inputs": ["force"], "time": "seconds"}, "no column 'force', 'seconds', it has t, u, y, short"),
     "columns that differ in length": ({"outputs": ["short"]}, "short has 9 samples and u 50, expected the same"),
-    "no rate": ({"time": ""}, "sample_rate 0 Hz and time '', expected one of both"),
+    "no rate": ({"time": ""}, "sample_rate 0 Hz and time '', expected just one of the two"),
     "uneven times": ({"time": "y"}, "time column y does not rise in even steps"),
     "one column twice": ({"outputs": ["u"]}, "named twice: u"),
     "a unit of nothing": ({"units": {"z": "N", "q": "m"}}, "units of z, q, expected of some of u, y"),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured data of any structure: arrays with named inputs and outputs, from files of MATLAB, NumPy or text.
+"""Measured data of any structure: arrays with named inputs and outputs, from MATLAB, NumPy or CSV files.
 
-A rig's own tests are read from bags (`Run`); both types have everything that identification needs of a test.
+Tests of a rig are read from bags (`Run`). Both types have the attributes that identification needs.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 EVEN = 0.01
-"""Greatest departure of a time column from even steps, as a share of a step."""
+"""Greatest difference of a time step from the mean step, as a share of it."""
 
 DataHold = Literal["band", "zero"]
 
@@ -37,7 +37,7 @@ class MeasuredData:
     Parameters
     ----------
     source
-        Where it came from, for messages and provenance.
+        Origin of the data, for messages and provenance.
     sample_period
         Seconds.
     inputs, names
@@ -45,10 +45,10 @@ class MeasuredData:
     excitation, outputs
         (samples, inputs) and (samples, outputs), in the units of the file.
     units
-        By name, for figures; none where it is not given.
+        Units by name, for figures; may lack some.
     hold
-        "band": inputs and outputs sampled alike, with nothing above half the sample rate; "zero": the inputs are held
-        between the samples, as commands are.
+        "band": inputs and outputs are band-limited below half the sample rate and sampled alike; "zero": each input
+        keeps its value until the next sample (zero-order hold), as commands do.
     """
 
     source: str
@@ -81,16 +81,16 @@ class MeasuredData:
 
     @property
     def command_names(self) -> tuple[str, ...]:
-        """Names of a rig's commands: none, as the inputs of data belong to their own samples."""
+        """Empty: `inputs` has all inputs of measured data; only a rig's tests have commands."""
         return ()
 
     @property
     def seconds(self) -> float:
-        """Its length."""
+        """Length of the record [s]."""
         return len(self.outputs) * self.sample_period
 
     def channels(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """(samples, len(names)) of these inputs or outputs; `names` in either form (`signals.positions`)."""
+        """(samples, len(names)) the inputs or outputs with these `names`, in either form (`signals.positions`)."""
         chosen = signals.positions(names, (*self.inputs, *self.names), f"{self.source}: no channel")
         return np.hstack([self.excitation, self.outputs])[:, chosen]
 
@@ -113,27 +113,29 @@ def read_data(
     units: Mapping[str, str] | None = None,
     hold: DataHold = "band",
 ) -> MeasuredData:
-    """Read a file of arrays, or take arrays or a DataFrame.
+    """Read measured data from a file, or take them from arrays or a DataFrame.
 
     Parameters
     ----------
     path
-        `.mat` (up to version 7), `.npz`, `.npy` or `.csv` with a line of names. A vector is a column of its name;
-        column i of a matrix M is M_i, from 1 on, of an `.npy` file just i. Or arrays (samples,) by name, a DataFrame.
+        A `.mat` (up to version 7), `.npz`, `.npy` or `.csv` file; the first line of a `.csv` file has the names. A
+        vector is a column with the vector's name. Column i (from 1) of a matrix M is named M_i, of an `.npy` file i.
+        Instead of a file: arrays (samples,) by name, or a DataFrame.
     inputs, outputs
-        Names of columns, a rig's signals in either form (`signals.positions`); no outputs: all columns that are not
-        named otherwise.
+        Names of columns, a rig's signals in either form (`signals.positions`). Without outputs all columns are outputs
+        that are neither an input nor the time.
     sample_rate
-        [Hz]; 0: from the time column.
+        [Hz]; 0: computed from the time column.
     time
-        Name of a column of times [s], evenly spaced.
+        Name of the column with the times [s] of the samples, evenly spaced.
     units, hold
         As of `MeasuredData`.
 
     Raises
     ------
     AbraceError
-        If the file cannot be read or has no such columns, columns differ in length, or times are not even.
+        If the file cannot be read, a column does not exist, columns differ in length, or the times are not evenly
+        spaced.
     """
     if isinstance(path, (str, Path)):
         columns = _columns(Path(path))
@@ -141,7 +143,7 @@ def read_data(
         columns = {str(name): np.asarray(path[name], dtype=np.float64) for name in path}
         path = "data"
     if (sample_rate > 0) == bool(time):
-        raise AbraceError(f"{path}: sample_rate {sample_rate:g} Hz and time {time!r}, expected one of both")
+        raise AbraceError(f"{path}: sample_rate {sample_rate:g} Hz and time {time!r}, expected just one of the two")
     named = {signals.meaning(name) for name in (*inputs, time)}
     outputs = outputs or [name for name in columns if signals.meaning(name) not in named]
     wanted = (*inputs, *outputs, *([time] if time else []))
@@ -161,7 +163,7 @@ def read_data(
 
 
 def units_of(given: Sequence[str]) -> dict[str, str]:
-    """The units by name of texts `given` as NAME=UNIT.
+    """The units by name, from texts `given` as NAME=UNIT.
 
     >>> units_of(["a1=m/s^2", "force=N"])
     {'a1': 'm/s^2', 'force': 'N'}
@@ -187,7 +189,7 @@ def _columns(path: Path) -> dict[str, NDArray[np.float64]]:
         raise
     except OSError as error:
         raise AbraceError(f"{path}: {error.strerror or error}") from error
-    except Exception as error:  # whatever a damaged file does to the readers of SciPy and NumPy
+    except Exception as error:  # SciPy's and NumPy's readers raise many types for a damaged file
         raise AbraceError(f"{path}: cannot be read as {path.suffix} ({error})") from error
     columns: dict[str, NDArray[np.float64]] = {}
     for name, array in arrays.items():
@@ -201,7 +203,7 @@ def _columns(path: Path) -> dict[str, NDArray[np.float64]]:
 
 
 def _arrays(path: Path) -> dict[str, NDArray[np.float64]]:
-    """Vectors and matrices of real numbers in a file of MATLAB or NumPy."""
+    """The vectors and matrices of real numbers in a MATLAB or NumPy file, by name."""
     content: Mapping[str, Any]
     if path.suffix == ".mat":
         from scipy.io import loadmat
@@ -238,7 +240,7 @@ def _csv_columns(path: Path) -> dict[str, NDArray[np.float64]]:
 
 
 def _where(path: Path) -> str:
-    """The first line of a file that is not the numbers that are expected."""
+    """A description of the first line of a CSV file that cannot be read as numbers."""
     columns = 0
     for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
         if ";" in line or "\ufffd" in line:
@@ -256,7 +258,7 @@ def _where(path: Path) -> str:
 
 
 def _period(path: Path | str, name: str, time: NDArray[np.float64]) -> float:
-    """[s] between the values of a time column."""
+    """The sample period [s] of a time column; an error if its steps are uneven."""
     steps = np.diff(time)
     period = float(np.mean(steps)) if len(steps) else 0.0
     uneven = np.flatnonzero(~(np.abs(steps - period) <= EVEN * period))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded tests before identification: checked, cut to the longest piece without a gap, trends removed.
+"""Preparation of recorded tests for identification: checks, the longest piece without a gap, removal of trends.
 
-A fault that makes a test useless is an error, with what was found and what was expected; the loss of a channel or of a
-piece of the record is a warning, and the rest is used.
+A fault that makes the test unusable raises an error that names what was found and what was expected. If only a channel
+or a part of the record is lost, a warning is given and the rest is used.
 """
 
 from __future__ import annotations
@@ -32,16 +32,22 @@ LEAST_SECONDS = 60.0
 """Shorter tests do not resolve modes of 1 % damping near 1 Hz."""
 
 REST = 0.05
-"""Greatest rms of an input at rest (sensor noise), as a share of its rms where it is excited."""
+"""An input is at rest if its rms (sensor noise) is below this share of its rms in the test that excites it."""
 
 CLIPPED_SHARE = 1e-3
 """Greatest share of an input's samples at its extremes: that of noise clipped at 3.3 standard deviations."""
 
 CLIPPED_COUNT = 10
-"""Samples at one extreme value from which on a signal counts as clipped; unclipped noise hardly ever has as many."""
+"""A signal is clipped if at least this many samples have its greatest, or its least, value.
+
+Noise that is not clipped hardly ever has as many.
+"""
 
 STUCK_SHARE = 0.1
-"""Share of a record for which a channel that keeps one value counts as stuck; the rest at its ends is shorter."""
+"""A channel is stuck if it keeps one value for more than this share of the record.
+
+The rest at the beginning and end of a test is shorter.
+"""
 
 FALSE_ALARM = 1e-3
 """Probability that a channel of pure noise is accepted as a response."""
@@ -49,16 +55,16 @@ FALSE_ALARM = 1e-3
 
 @dataclass(frozen=True)
 class Recording:
-    """A test that is fit for identification.
+    """A test prepared for identification.
 
     Parameters
     ----------
     run
-        The test, or its longest whole piece, without trends.
+        The test, or its longest piece without a gap; trends removed.
     left_out
-        Channels that are no response, with the reason.
+        Channels that do not respond to the inputs, each with the reason.
     warnings
-        On the test and its channels, one sentence each.
+        About the test and its channels, one sentence each.
     """
 
     run: Run
@@ -67,12 +73,12 @@ class Recording:
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Names of the channels that are responses."""
+        """Names of the channels that respond to the inputs."""
         return tuple(name for name in self.run.names if name not in self.left_out)
 
 
 def prepare(run: Run, inputs: Sequence[str], band: tuple[float, float], period: int | None = None) -> Recording:
-    """Check a test and make it ready: the longest whole piece, trends removed.
+    """Check a test, take its longest piece without a gap, and remove trends.
 
     Parameters
     ----------
@@ -83,14 +89,14 @@ def prepare(run: Run, inputs: Sequence[str], band: tuple[float, float], period: 
     band
         Lowest and highest frequency [Hz] of the excitation.
     period
-        Samples in a period of a periodic excitation. Of noise a straight line is removed; of a periodic response the
-        mean alone, since a line fitted to it would follow the periods.
+        Samples in a period of a periodic excitation; None: noise. From a response to noise a straight line is removed,
+        from a periodic response only the mean, since a line fitted to it would follow the periods.
 
     Raises
     ------
     AbraceError
-        If there is no whole piece long enough, a value is not finite, an input is not excited throughout the band or
-        clipped, or no channel is a response.
+        If no piece without a gap is long enough, a value is not finite, an input is clipped or is not excited
+        throughout the band, or no channel responds to the inputs.
     """
     whole, warnings = longest_piece(run)
     left_out, found = check_channels(whole, inputs, band, period)
@@ -100,19 +106,20 @@ def prepare(run: Run, inputs: Sequence[str], band: tuple[float, float], period: 
 def check_channels(
     whole: Run | MeasuredData, inputs: Sequence[str], band: tuple[float, float], period: int | None = None
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """The outputs of a test without gaps that are no response, with the reason, and warnings on its channels.
+    """Find the outputs that do not respond to the inputs, each with the reason, and warnings about the channels.
 
     Parameters
     ----------
     whole
-        The test.
+        The test, without gaps.
     inputs, band, period
         As of `prepare`.
 
     Raises
     ------
     AbraceError
-        If a value is not finite, an input is not excited throughout the band or clipped, or no channel is a response.
+        If a value is not finite, an input is clipped or is not excited throughout the band, or no channel responds to
+        the inputs.
     """
     warnings: tuple[str, ...] = ()
     others = (signals.GROUND, *whole.command_names) if isinstance(whole, Run) else whole.inputs
@@ -149,7 +156,7 @@ def check_channels(
 
 
 def longest_piece(run: Run) -> tuple[Run, tuple[str, ...]]:
-    """The longest piece of a test with consecutive sample numbers, and a warning if that is not all of it.
+    """The longest piece of a test with consecutive sample numbers, and a warning if it is not the whole test.
 
     Parameters
     ----------
@@ -192,7 +199,7 @@ def longest_piece(run: Run) -> tuple[Run, tuple[str, ...]]:
 
 
 def require_excited(run: Run | MeasuredData, name: str, band: tuple[float, float]) -> None:
-    """That an input has power in every tenth of a band.
+    """Check that an input has power in each of ten equal parts of a band.
 
     Parameters
     ----------
@@ -206,7 +213,7 @@ def require_excited(run: Run | MeasuredData, name: str, band: tuple[float, float
     Raises
     ------
     AbraceError
-        If the band is not one, or the input is at rest in a part of it.
+        If the band is not within 0 to half the sample rate, or the input has no power in a part of it.
     """
     half = 0.5 / run.sample_period
     if not 0 <= band[0] < band[1] <= half:
@@ -229,7 +236,7 @@ def require_excited(run: Run | MeasuredData, name: str, band: tuple[float, float
 
 
 def require_at_rest(run: Run, name: str, excited: Run) -> None:
-    """That an input is at rest: a command zero, the table within a share of its motion where it is shaken.
+    """Check that an input is at rest: a command must be zero, the table's rms below REST times that of its own test.
 
     Parameters
     ----------
@@ -259,7 +266,7 @@ def require_at_rest(run: Run, name: str, excited: Run) -> None:
 
 
 def at_extremes(values: NDArray[np.float64]) -> int:
-    """How many of `values` (samples,) are at the greatest or at the least value, if too many are for noise."""
+    """How many of `values` (samples,) equal an extreme value that CLIPPED_COUNT or more samples have."""
     if not np.ptp(values):
         return 0
     counts = (np.count_nonzero(values == extreme) for extreme in (values.max(), values.min()))
@@ -267,7 +274,7 @@ def at_extremes(values: NDArray[np.float64]) -> int:
 
 
 def dead_channels(run: Run | MeasuredData, inputs: Sequence[str], band: tuple[float, float]) -> dict[str, str]:
-    """Channels that never change, are stuck, or have no coherence with an input anywhere, with the reason.
+    """Channels that never change, are stuck, or have no coherence with any input at any frequency, with the reason.
 
     Parameters
     ----------
@@ -294,7 +301,7 @@ def dead_channels(run: Run | MeasuredData, inputs: Sequence[str], band: tuple[fl
     alive = [column for column, name in enumerate(run.names) if name not in dead]
     if not alive:
         return dead
-    # the greatest of so many coherences of pure noise: 1 - (1 - c)^(averages - 1) (Bendat and Piersol 2010, ch. 9)
+    # a coherence c of pure noise is exceeded with probability (1 - c)^(averages - 1) (Bendat and Piersol 2010, ch. 9)
     segment = 2 ** int(np.log2(samples / 16))
     found = [coherence_of(run, name, band, segment) for name in inputs]
     averages = found[0][1]
@@ -307,7 +314,7 @@ def dead_channels(run: Run | MeasuredData, inputs: Sequence[str], band: tuple[fl
 
 
 def _without_trend(run: Run, kind: Literal["linear", "constant"]) -> Run:
-    """The outputs and the table's measured acceleration without their trends; a command is known and has none."""
+    """The test with trends removed from outputs and table acceleration; commands are known exactly and stay."""
     return replace(
         run,
         outputs=signal.detrend(run.outputs, axis=0, type=kind),

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded test against the same test simulated by a model: Fig. 6 and Table 1 of the paper.
+"""Comparison of a recorded test with its simulation by a model: Fig. 6 and Table 1 of the paper.
 
-The model is driven by the recorded ground acceleration alone where a controller closes the loop, and by the recorded
-command as well where none does.
+With a controller the loop is simulated, driven by the recorded ground acceleration. Without one the model is driven by
+the recorded ground acceleration and the recorded commands.
 
-A record has sensor noise, a simulation has none. The noise's power is estimated from the top fifth of the record's
-spectrum, where the rig does not respond and only noise, assumed white, is left. Where an anti-alias filter has cut that
-part the estimate is too low and the model's error comes out too large, never too small.
+A record contains sensor noise, a simulation does not. The noise power is estimated from the top fifth of the record's
+spectrum. There the rig does not respond, and what is left is noise, assumed white. If an anti-alias filter attenuates
+that part, the estimate is too low and the model's error comes out too large, never too small.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from abrace_sysid.validity.finding import Finding
 
 NOISE_BAND = 0.8
-"""Share of half the sample rate from which on a record is sensor noise alone."""
+"""Above this share of half the sample rate a record contains only sensor noise."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Comparison:
     time
         (samples,) [s].
     names
-        The recorded quantities and the commands, in the rows of Table 1.
+        Names of the recorded quantities and the commands, as in the rows of Table 1.
     measured, simulated
         (samples, names), SI units.
     """
@@ -62,35 +62,36 @@ class Comparison:
     simulated: NDArray[np.float64]
 
     def correlation(self) -> dict[str, float]:
-        """Correlation coefficient of each channel; constant channels (a zero command) are left out."""
+        """Correlation coefficient of measured and simulated, by channel; constant channels are left out."""
         return {
             name: float(np.corrcoef(self.measured[:, j], self.simulated[:, j])[0, 1]) for j, name in self._varying()
         }
 
     def normalised_rms_error(self) -> dict[str, float]:
-        """Rms of simulated minus measured over rms of measured; constant channels are left out."""
+        """Rms of simulated minus measured over rms of measured, by channel; constant channels are left out."""
         return self._error_over_size(np.zeros(len(self.names)))
 
     def noise_free_error(self) -> dict[str, float]:
-        """`normalised_rms_error` with the measurement noise's power subtracted from the difference's, never below zero.
+        """`normalised_rms_error` with the noise power subtracted from the power of the difference, not below zero.
 
-        The denominator is the same: nothing is subtracted from the measured rms.
+        The denominator is unchanged: nothing is subtracted from the measured rms.
         """
         return self._error_over_size(self.noise())
 
     def noise(self) -> NDArray[np.float64]:
         """(names,) standard deviation of each channel's sensor noise, estimated from the record; 0 for commands.
 
-        From the median power above NOISE_BAND, Hann window: hum and the record's ends do not affect it.
+        It follows from the median power above NOISE_BAND with a Hann window, which hum and leakage do not affect.
         """
         window = np.hanning(len(self.measured))[:, None]
         power = np.abs(fft.rfft(self.measured * window, axis=0)) ** 2 / np.sum(window**2)
         of_lines = power[int(NOISE_BAND * len(power)) :]
-        noise = np.sqrt(np.median(of_lines, axis=0) / np.log(2))  # of an exponential distribution's mean
+        # an exponential distribution's median is log(2) times its mean
+        noise = np.sqrt(np.median(of_lines, axis=0) / np.log(2))
         return np.array([0.0 if name[0] == "U" else float(noise[j]) for j, name in enumerate(self.names)])
 
     def peak_rms_error(self) -> float:
-        """Mean over channels and both numbers of the relative error of simulated peak and rms."""
+        """Relative error of the simulated peak and rms, mean of the absolute values over peak, rms and channels."""
         measured, simulated = self.measured_peak_rms(), self.simulated_peak_rms()
         ratios = [
             found / true
@@ -129,22 +130,23 @@ def compare(
     correction: NDArray[np.float64] | None = None,
     not_linear: Nonlinearity | None = None,
 ) -> Comparison:
-    """Simulate a recorded test, for comparison with the record.
+    """Simulate a recorded test and compare it with the record.
 
     Parameters
     ----------
     run
-        The test, from rest.
+        The test; it begins at rest.
     model
         Continuous, from the ground acceleration and the commands to the run's quantities.
     controller
-        Discrete, from some of those to the commands, as in Eq. (13); None: the recorded command drives the model.
+        Discrete, from some of the run's quantities to the commands, as in Eq. (13); None: the recorded command drives
+        the model.
     capacity
         (commands,) greatest command [N].
     correction
         (controller's states, commands): the controller's G_d, as in `simulate_closed_loop`.
     not_linear
-        What acts on the model beside; None: it is simulated as it is.
+        Nonlinear elements that act on the model; None: the linear model alone is simulated.
 
     Raises
     ------
@@ -184,11 +186,11 @@ def compare(
 
 
 def predicted(comparison: Comparison) -> Finding:
-    """The finding on one test that a model has predicted.
+    """The finding of the check "prediction": the error of the worst predicted channel, sensor noise subtracted.
 
     Parameters
     ----------
     comparison
-        Measured and simulated.
+        The measured and the simulated test; commands do not count.
     """
     return prediction_finding({name: e for name, e in comparison.noise_free_error().items() if name[0] != "U"})

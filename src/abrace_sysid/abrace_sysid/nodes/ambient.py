@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node `ambient`: modes from bags of tests without commands, and whether the building has changed.
+"""The node `ambient`: identifies modes from bags of tests without commands, and detects changes of the building.
 
 abrace run abrace_sysid ambient --ros-args -p bag:=bags/after -p before:=bags/before -p output:=results/ambient
 """
@@ -34,7 +34,7 @@ PARAMETERS = [
 
 
 class Ambient(AbraceNode):
-    """Finds the modes of one building and ends."""
+    """Identifies the modes of one building, then ends."""
 
     def __init__(self) -> None:
         super().__init__("ambient", PARAMETERS)
@@ -61,7 +61,7 @@ class Ambient(AbraceNode):
         print(f"wrote {output}")
 
     def test(self, bags: list[str]) -> AmbientTest:
-        """Modes from bags."""
+        """Identify modes from bags."""
         print(f"reading {', '.join(bags)}", flush=True)
         given = self.parameters
         runs = [one for bag in bags for one in read_runs(bag)]
@@ -85,7 +85,7 @@ class Ambient(AbraceNode):
             )
 
     def tell(self, change: BuildingChange) -> None:
-        """Print what has changed."""
+        """Print the change of each mode."""
         for mode in change.modes:
             print(
                 f"  {mode.before.frequency / (2 * math.pi):8.4f} Hz: frequency {100 * mode.frequency_change:+.3f} %, "

@@ -29,7 +29,7 @@ PARAMETERS = [
 
 
 class Excitation(BraceCommander):
-    """Answers each sample with the next value of the signal."""
+    """Publishes for each sample the command that is the next value of the signal."""
 
     def __init__(self) -> None:
         super().__init__("excitation", PARAMETERS)
@@ -54,12 +54,12 @@ class Excitation(BraceCommander):
         self.played_in_run = -1
 
     def interrupt(self, cause: str) -> None:
-        """A fault or stop of the rig ends the signal: it does not begin again by itself when that is cleared."""
+        """End the signal after a fault or stop of the rig; it does not start again by itself after a reset."""
         if self.played < len(self.signal):
             self.cancelled = cause
 
     def restart(self, sequence: int, floors: int, groups: int) -> None:
-        """The signal begins with this sample, once in each run of the rig."""
+        """Begin the signal with this sample, once in each run of the rig."""
         run = self.answering.watch.run
         if run != self.played_in_run:
             self.first, self.played, self.played_in_run = sequence, 0, run
@@ -69,7 +69,7 @@ class Excitation(BraceCommander):
             )
 
     def force(self, sequence: int, z: tuple[float, ...], lost: int) -> np.ndarray:
-        """The signal of this sample; zero when it is over."""
+        """The value of the signal at this sample; zero after its end."""
         if self.first is None or self.cancelled:
             return self.nothing
         index = sequence - self.first
@@ -77,7 +77,7 @@ class Excitation(BraceCommander):
         return self.signal[index] if index < len(self.signal) else self.nothing
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
-        """State for `/diagnostics`, with how far the signal is."""
+        """State for `/diagnostics`, with the progress of the signal."""
         fault, message, values = super().diagnose()
         if self.configured and (self.first is not None or self.cancelled):
             rate, over = self.parameters.sample_rate, self.played == len(self.signal)

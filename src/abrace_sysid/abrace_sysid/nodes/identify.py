@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node `identify`: bags of tests on the table and with the actuators, or measured data, to models, with figures.
+"""The node `identify`: identifies models from bags of table and command tests, or from measured data, with figures.
 
 abrace run abrace_sysid identify --ros-args -p table:=table_noise -p command:=command_noise -p output:=model
 """
@@ -99,13 +99,13 @@ PARAMETERS = [
 
 
 class Identify(AbraceNode):
-    """Identifies one rig and ends."""
+    """Identifies one rig or structure, then ends."""
 
     def __init__(self) -> None:
         super().__init__("identify", PARAMETERS)
 
     def work(self) -> None:
-        """From bags or from data."""
+        """Identify from bags or from measured data."""
         given = self.parameters
         begin = time.monotonic()
 
@@ -116,7 +116,7 @@ class Identify(AbraceNode):
         if given.data:
             for name, value in bags.items():
                 if value:
-                    raise AbraceError(f"parameter {name}: {value}, expected none beside data {given.data}")
+                    raise AbraceError(f"parameter {name}: {value}, expected none together with data {given.data}")
             self.from_data(progress)
             return
         for name, value in bags.items():
@@ -125,7 +125,7 @@ class Identify(AbraceNode):
         self.from_bags(progress)
 
     def from_data(self, progress: Callable[[str, float], None]) -> None:
-        """Read, identify, judge by what was held out, write, draw."""
+        """Read the data, identify, write, draw, and judge by predicting the part held out."""
         given = self.parameters
         progress("reading the data", 0.0)
         units = units_of(given.units)
@@ -150,7 +150,7 @@ class Identify(AbraceNode):
         print(judged.validity.text())
 
     def from_bags(self, progress: Callable[[str, float], None]) -> None:
-        """Read, identify, write, draw."""
+        """Read the bags, identify, write, draw and judge."""
         given = self.parameters
         progress("reading the bags", 0.0)
         runs = {bag: read_runs(bag) for bag in dict.fromkeys((*given.table, *given.command))}
@@ -181,7 +181,7 @@ class Identify(AbraceNode):
         of_tests = elements_of_tests(found, options, judged.validity.causes)
         if of_tests is not None:
             save_model(of_tests.noted_in(found.model), output / "model.json", found.covariance)
-            print(f"beside the linear model predictions have {of_tests.text}")
+            print(f"predictions add to the linear model: {of_tests.text}")
         print(f"wrote {output}")
         print(judged.validity.text())
 
@@ -192,7 +192,7 @@ class Identify(AbraceNode):
         options: IdentificationOptions,
         progress: Callable[[str, float], None],
     ) -> Identification:
-        """The models; where there are none because of what was measured, files that say why."""
+        """The models; if identification fails because of the measurements, write the files that explain it."""
         begun = 0.0
 
         def noted(step: str, fraction: float) -> None:
@@ -210,7 +210,7 @@ class Identify(AbraceNode):
             raise
 
     def draw(self, found: Identification, options: IdentificationOptions, output: Path) -> None:
-        """The figures."""
+        """Draw and save the figures."""
         table, commands = found.table_response, [data.responses[0] for data in found.commands]
         outputs = found.model.outputs
         floors = [name for name in outputs if name[0] == "x" and name[1:].isdigit()]

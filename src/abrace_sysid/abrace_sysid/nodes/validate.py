@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node `validate`: compares a bag with its simulation by a model, with the same test without control, or both.
+"""The node `validate`: compares a recorded test with its simulation, with the same test without control, or both.
 
 abrace run abrace_sysid validate --ros-args -p bag:=bags/first -p model:=model/model.json -p output:=check
 """
@@ -36,11 +36,11 @@ PARAMETERS = [
 ]
 
 BEFORE, ZOOM = 5.0, 20.0
-"""Seconds shown enlarged: before the peak of the ground motion, and in all."""
+"""The enlarged part of the figure begins BEFORE seconds ahead of the ground motion's peak and lasts ZOOM seconds."""
 
 
 class Validate(AbraceNode):
-    """Compares one test and ends."""
+    """Compares one test, then ends."""
 
     def __init__(self) -> None:
         super().__init__("validate", PARAMETERS)
@@ -95,7 +95,7 @@ class Validate(AbraceNode):
             print(f"validity: {judged.verdict.words}: {judged.meaning}")
 
     def read(self, bag: str) -> Run:
-        """The run of a bag; what is to be said of it is a warning."""
+        """Read the run of a bag, and log its warnings."""
         recorded = read_run(bag)
         for warning in recorded.facts.get("warnings", []):
             self.get_logger().warning(warning)
@@ -104,7 +104,7 @@ class Validate(AbraceNode):
         return recorded
 
     def simulate(self, test: Run, models: dict[str, LinearModel]) -> dict[str, Comparison]:
-        """The test simulated by each model, with the controller's loop closed where one is given."""
+        """Simulate the test by each model, in closed loop if a controller is given."""
         law, limit, correction = None, np.full(test.groups, np.inf), None
         if self.parameters.controller:
             controller = load_controller(self.parameters.controller)
