@@ -98,7 +98,7 @@ def test_models_that_cannot_be_balanced_are_refused(model):
         balanced_truncation(model, 7, UNITS)
     mute = np.diag([1.0, 0.0])
     silent = replace(model, c=mute @ model.c, d=mute @ model.d)
-    with pytest.raises(AbraceError, match="output a1 answers to no input"):
+    with pytest.raises(AbraceError, match="output a1 responds to no input"):
         typical_scales(silent, (0.3, 30.0), INTENSITY)
 
 

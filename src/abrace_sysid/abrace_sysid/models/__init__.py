@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poles and transfer functions to state-space models: superposed, consistent or reduced."""
+"""State-space models from poles and transfer functions: superposed, consistent and reduced."""

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The consistent model: one set of poles for every input, so that each mode of the rig appears once.
 
-Eqs. (6) and (7) give the superposed model each building pole three times, from three fits. The command controls none of
-the table's copies, and in closed loop the prediction is right only as far as the parts cancel: their differences
-oscillate at the building's poles. Here every input has the same poles, those that its band shows, and all channels
-their numerators in absolute weights (`realize`); the inputs' copies of a pole are then merged by balanced truncation to
-as many states as there are poles.
+The superposed model of Eqs. (6) and (7) contains each building pole three times, from three fits. The commands do not
+control the table's copies. In closed loop its prediction is right only as far as the three parts cancel, and their
+differences oscillate at the building's poles. In the consistent model all inputs share the poles that their bands
+contain. The numerators of all channels are fitted with absolute weights (`realize`). Balanced truncation then merges
+the inputs' copies of each pole, down to as many states as there are poles.
 """
 
 from __future__ import annotations
@@ -34,27 +34,27 @@ def realize_together(
 ) -> LinearModel:
     """One model for several inputs with common poles, each input driving its own copy of them.
 
-    An input gets the poles up to the highest frequency at which its response was measured; those beyond add to the
-    direct term, which is fitted.
+    An input drives the poles up to the highest frequency at which its response was measured. The effect of faster
+    poles is in the direct term, which is fitted.
 
     Parameters
     ----------
     measured
-        One response for each input, or several of the same input (repeated tests), which are fitted together.
+        The measured responses; several of the same input (repeated tests) are fitted together.
     poles
         [rad/s], stable, real or in conjugate pairs, all distinct.
     delays
-        Of each input [s]; 0 if not named.
+        Delay of each input [s]; 0 for inputs not in it.
 
     Returns
     -------
     LinearModel
-        Continuous; inputs in the order in which `measured` names them first, outputs likewise.
+        Continuous; inputs and outputs in the order of their first appearance in `measured`.
 
     Raises
     ------
     AbraceError
-        If a pole is unstable, or an input's band shows no pole.
+        If a pole is unstable, or an input's response contains no pole.
     """
     where = "consistent model"
     require_stable(poles, where)
@@ -78,20 +78,20 @@ def consistent_model(
     band: tuple[float, float],
     intensity: Mapping[str, float],
 ) -> Reduction:
-    """The model for prediction: numerators of all channels and inputs over common poles, copies merged.
+    """The model for prediction: common poles, numerators fitted for all channels and inputs, copies of poles merged.
 
     Parameters
     ----------
     measured, poles, delays
         As in `realize_together`.
     band, intensity
-        [Hz], and rms of each input by name, of the typical motion that sets the balancing units.
+        Band [Hz], and rms of each input by name, of the motion that sets the balancing units (`typical_scales`).
 
     Returns
     -------
     Reduction
-        Its model has as many states as there are poles, and nearly these poles. With fewer (`balanced_truncation` of
-        `realize_together`) the servo's slow pole is the first to go, then local modes.
+        Its model has as many states as there are poles, and nearly these poles. A reduction to fewer states
+        (`balanced_truncation` of `realize_together`) first drops the servo's slow pole, then local modes.
     """
     whole = realize_together(measured, poles, delays)
     merged = balanced_truncation(whole, len(poles), typical_scales(whole, band, intensity))

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 def servo_lags(estimate: PoleEstimate, highest: float) -> dict[str, float]:
-    """Of each input that drives a fast real pole alone the time [s] by which it comes later: lag and delay.
+    """Lag plus delay [s] of each servo, by the name of its command; only inputs that alone drive a fast real pole.
 
     Parameters
     ----------
     estimate
-        Poles and what drives them.
+        Poles, with the part of each input that drives them.
     highest
-        [rad/s], of the tests: poles beyond it are fast.
+        Highest frequency of the tests [rad/s]; real poles beyond it are fast.
     """
     found = {}
     delays = np.nan_to_num(estimate.delays)
@@ -37,9 +37,10 @@ def servo_lags(estimate: PoleEstimate, highest: float) -> dict[str, float]:
 
 
 def without_lags(estimate: PoleEstimate, highest: float) -> PoleEstimate:
-    """The same modes, each servo's lag a delay: fewer states, and the same response far below the lag's frequency.
+    """The same modes, with each servo's lag replaced by a delay.
 
-    At s = p, driving a pole p by e^(-s t) u with an additional factor e^(p t) is the same as driving it by u.
+    The estimate has fewer states, and the same response far below the lag's corner frequency. Delaying an input by t
+    multiplies its effect on a pole p by e^(-p t), so the input's drive of that pole is multiplied by e^(p t).
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def without_lags(estimate: PoleEstimate, highest: float) -> PoleEstimate:
         j = estimate.inputs.index(name)
         drive[:, j] *= np.exp(estimate.poles * (whole - delays[j]))
         own = fast & (estimate.drive[:, j] != 0)
-        # far below its frequency the lag's state follows the command
+        # far below the lag's corner frequency its state is proportional to the command: a direct term
         direct[:, j] += (estimate.shapes[:, own] @ (estimate.drive[own, j] / -estimate.poles[own])).real
         delays[j] = whole
     return replace(
@@ -67,20 +68,20 @@ def without_lags(estimate: PoleEstimate, highest: float) -> PoleEstimate:
 
 
 def _fast(estimate: PoleEstimate, highest: float) -> NDArray[np.bool_]:
-    """(poles,) real ones beyond `highest` [rad/s] that a single input drives."""
+    """(poles,) which poles are real, faster than `highest` [rad/s] and driven by a single input."""
     alone = np.count_nonzero(estimate.drive, axis=1) == 1
     return np.asarray((estimate.poles.imag == 0) & (-estimate.poles.real > highest) & alone)
 
 
 def modal_model(estimate: PoleEstimate, provenance: dict[str, Any]) -> LinearModel:
-    """The continuous model that a fit by maximum likelihood is: minimal, its numerators those of the likelihood.
+    """The continuous model of a fit by maximum likelihood: a minimal realisation with exactly the fitted response.
 
     Parameters
     ----------
     estimate
-        Poles, what the inputs drive of them, and shapes.
+        Poles, participation of the inputs (`drive`), and mode shapes.
     provenance
-        Of the model.
+        Provenance of the model.
     """
     blocks: list[NDArray[np.float64]] = []
     drives: list[NDArray[np.float64]] = []
@@ -95,7 +96,7 @@ def modal_model(estimate: PoleEstimate, provenance: dict[str, Any]) -> LinearMod
             blocks.append(np.array([[pole.real]]))
             drives.append(drive.real)
             shapes.append(shape.real)
-    # states of a size between those of the input and of the output; a pair's two alike, so that its block stays
+    # scale the states so that the norms of B and C are equal; both states of a pair alike, so that its block stays
     into, out_of, first = np.array(drives), np.column_stack(shapes), 0
     for block in blocks:
         own = slice(first, first + len(block))
@@ -118,12 +119,12 @@ def modal_model(estimate: PoleEstimate, provenance: dict[str, Any]) -> LinearMod
 
 
 def modal_covariance(estimate: PoleEstimate) -> NDArray[np.float64] | None:
-    """The covariance of the parameters of `modal_model`, as `abrace_core.model_ensemble` has them; None: not known.
+    """Covariance of the parameters of `modal_model`, ordered as in `abrace_core.model_ensemble`; None: not known.
 
     Parameters
     ----------
     estimate
-        Of which the covariance of all of it was asked for.
+        The fit; its `joint` covariance is needed.
     """
     if estimate.joint is None:
         return None
@@ -133,7 +134,7 @@ def modal_covariance(estimate: PoleEstimate) -> NDArray[np.float64] | None:
     size[known] = np.sqrt(seen[known] / driven[known])
     states = np.where(estimate.poles.imag > 0, 2, 1)
     sizes, signs = np.repeat(size, states), np.ones(states.sum())
-    signs[np.cumsum(states)[states == 2] - 1] = -1  # the second state of a pair is seen by minus the imaginary part
+    signs[np.cumsum(states)[states == 2] - 1] = -1  # C of a pair's second state is minus the shape's imaginary part
     inputs, outputs = len(estimate.inputs), len(estimate.outputs)
     unscaled = np.ones(outputs * inputs + inputs)  # direct terms and delays
     scale = np.concatenate([np.ones(len(sizes)), np.repeat(sizes, inputs), np.tile(signs / sizes, outputs), unscaled])

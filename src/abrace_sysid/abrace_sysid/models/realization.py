@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Transfer functions with a common denominator as state-space models, and their superposition: Eqs. (3) to (7).
+"""State-space models of transfer functions with a common denominator, and their superposition: Eqs. (3) to (7).
 
-With the poles given, A and B of the modal states are fixed, and what remains of the numerators (order n = m) is one
-row of C and D for each output: a linear least-squares problem, as the upper half of Eq. (1) is, but well conditioned at
+The poles determine A and B of the modal states. The numerators (order n = m) then are one row of C and D for each
+output. These rows follow from a linear least-squares problem, like the upper half of Eq. (1), but well conditioned at
 any order.
 
-The rows are fitted with equal (absolute) weights to the response of the *discretised* block model, hold and delay
-included, so that the model predicts the samples that were measured. Relative weights would be worse: in closed loop
-z1 + z2 + z3 cancel, and any inconsistency between them is amplified.
+The rows are fitted with equal (absolute) weights, by the response of the *discretised* model with hold and delay, so
+that the model predicts the measured samples. Relative weights would be worse: in closed loop z1, z2 and z3 nearly
+cancel, and any inconsistency between them is amplified.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ if TYPE_CHECKING:
 def realize(
     measured: FrequencyResponse | Sequence[FrequencyResponse], poles: NDArray[np.complex128], delay: float = 0.0
 ) -> LinearModel:
-    """The model with these poles whose outputs fit a measured transfer function best: Eq. (3), (4) or (5).
+    """The model with given poles that fits a measured transfer function best: Eq. (3), (4) or (5).
 
     Parameters
     ----------
     measured
-        As estimated, hold and delay included; several of the same input and outputs are fitted together.
+        Transfer function as estimated, with hold and delay. Several of the same input and outputs are fitted together.
     poles
         [rad/s].
     delay
-        Of the input [s]; it stays explicit in the model.
+        Input delay [s]; the model has it as `input_delay`.
 
     Raises
     ------
     AbraceError
-        If several responses are not of the same input and outputs.
+        If the responses differ in input or outputs.
     """
     responses = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
     name, outputs = responses[0].input, responses[0].outputs
@@ -65,14 +65,14 @@ def realize(
 
 @takes_models
 def unexplained(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.float64]:
-    """(channels,) residual of a model against a measured response: rms over the lines, as a share of the response's.
+    """(channels,) rms of modelled minus measured response over the lines, as a share of the rms of the measured one.
 
     Parameters
     ----------
     model
         Continuous, with the input and outputs of `measured`.
     measured
-        Hold and delays included.
+        Transfer function as estimated, with hold and delays.
     """
     left_over = sampled_response(model.select(measured.outputs), measured) - measured.response
     return np.asarray(
@@ -82,12 +82,12 @@ def unexplained(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.f
 
 @takes_models
 def superpose(parts: Sequence[LinearModel], inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearModel:
-    """z = z1 + z2 + ...: Eqs. (6) and (7). A part gives zeros for the outputs and inputs that it does not name.
+    """Parallel connection z = z1 + z2 + ...: Eqs. (6) and (7). Inputs and outputs that a part lacks count as zero.
 
     Raises
     ------
     AbraceError
-        If two parts delay one input differently.
+        If two parts have different delays for the same input.
     """
     a = linalg.block_diag(*(part.a for part in parts))
     b, c = np.zeros((len(a), len(inputs))), np.zeros((len(outputs), len(a)))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Balanced truncation (Moore 1981) of the superposed model: Eq. (9) of the paper.
+"""Balanced truncation (Moore 1981) of models with redundant states: Eq. (9) of the paper.
 
 In SI units the Gramians of the table's motion are 1e9 times those of the command. So inputs and outputs are scaled
-first: each input by its rms in the tests, each output by its rms under such inputs. The superposed model has each
-building pole three times; copies that coincide are cut.
+first: each input by its rms in the tests, each output by its rms under these inputs. A model may contain a building
+pole several times, once for each input; copies that coincide are removed.
 """
 
 from __future__ import annotations
@@ -25,14 +25,16 @@ if TYPE_CHECKING:
     from abrace_core.linear_model import LinearModel
 
 SIGNIFICANT = 0.01
-"""Share of the greatest Hankel singular value from which on a state is kept where no order is given."""
+"""Without a given order a state is kept if its Hankel singular value is at least this share of the greatest."""
 
 NEGLIGIBLE = 1e-7
-"""Share of the greatest Hankel singular value below which a state counts as uncontrollable or unobservable: rounding
-leaves as much of a singular Gramian's square root."""
+"""A state is uncontrollable or unobservable if its Hankel singular value is below this share of the greatest.
+
+Rounding errors in the square root of a singular Gramian are of this size.
+"""
 
 LINES = 4000
-"""Frequencies of a sum over a band, evenly spaced in the logarithm."""
+"""Number of logarithmically spaced frequencies for integrals over a band."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +47,14 @@ class Scales:
 
 @dataclass(frozen=True)
 class Reduction:
-    """A reduced model and the Hankel singular values that it was cut by.
+    """A reduced model and the Hankel singular values of the model before reduction.
 
     Parameters
     ----------
     model
-        The reduced model, in SI units, with the names and delays of the whole one.
+        The reduced model, in SI units, with the signal names and delays of the original.
     hankel_singular_values
-        (states,) of the whole model in balancing units, greatest first.
+        (states,) of the original model in balancing units, greatest first.
     """
 
     model: LinearModel
@@ -60,15 +62,15 @@ class Reduction:
 
     @property
     def error_bound(self) -> float:
-        """Greatest possible error of the frequency response, in balancing units: twice the sum of the values cut."""
+        """Upper bound of the frequency response's error, in balancing units: twice the sum of the values left out."""
         return float(2 * self.hankel_singular_values[self.model.order :].sum())
 
 
 @takes_models
 def typical_scales(model: LinearModel, band: tuple[float, float], intensity: Mapping[str, float]) -> Scales:
-    """Inputs at some intensities, and the rms of each output that the model predicts under them.
+    """Balancing units: the rms of each input, and the rms that the model predicts for each output under these inputs.
 
-    The inputs are taken as independent white noise within a band, uncontrolled.
+    The inputs are independent, with a white spectrum within the band; no controller acts.
 
     Parameters
     ----------
@@ -84,32 +86,32 @@ def typical_scales(model: LinearModel, band: tuple[float, float], intensity: Map
     outputs = np.sqrt(np.einsum("fpm,f->p", np.abs(model.frequency_response(omega) * inputs) ** 2, share))
     silent = [name for name, rms in zip(model.outputs, outputs, strict=True) if rms == 0]
     if silent:
-        raise AbraceError(f"balancing: output {', '.join(silent)} answers to no input")
+        raise AbraceError(f"balancing: output {', '.join(silent)} responds to no input")
     return Scales(inputs, outputs)
 
 
 @takes_models
 def balanced_truncation(model: LinearModel, states: int, scales: Scales) -> Reduction:
-    """Reduce a continuous stable model by the square-root method.
+    """Reduce a continuous stable model by balanced truncation (square-root method).
 
     Parameters
     ----------
     model
-        May have states that cannot be controlled or observed: they are cut first.
+        Continuous and stable. Uncontrollable or unobservable states are allowed; they are removed first.
     states
-        Order of the reduced model; 0: as many as have a Hankel singular value of SIGNIFICANT times the greatest, or
-        more.
+        Order of the reduced model; 0: the number of Hankel singular values of at least SIGNIFICANT times the greatest.
     scales
         The balancing units.
 
     Raises
     ------
     AbraceError
-        If the model is discrete or unstable, or has fewer states that matter than were asked for.
+        If the model is discrete or unstable, has fewer controllable and observable states than `states`, or the
+        reduced model is unstable.
     """
     if model.sample_period or not model.is_stable():
         raise AbraceError("balanced truncation: a continuous, stable model was expected")
-    # states in metres and in newtons differ by many powers of ten: rounding affects only the least states
+    # balance A: states in different units differ by many powers of ten, and rounding should affect only weak states
     _, (size, _) = linalg.matrix_balance(model.a, permute=False, separate=True)
     model = replace(model, a=model.a * size / size[:, None], b=model.b / size[:, None], c=model.c * size)
     b, c = model.b * scales.inputs, model.c / scales.outputs[:, None]
@@ -135,12 +137,12 @@ def balanced_truncation(model: LinearModel, states: int, scales: Scales) -> Redu
 
 @dataclass(frozen=True)
 class OrderErrors:
-    """The errors of each order.
+    """Errors of the reduced models of each order.
 
     Parameters
     ----------
     orders
-        (n,) states of the reduced models.
+        (n,) numbers of states of the reduced models.
     achieved
         (n, outputs, inputs) relative error of each channel, as `relative_errors` gives it; NaN where that order has no
         stable reduced model.
@@ -152,7 +154,7 @@ class OrderErrors:
 
 @takes_models
 def relative_errors(model: LinearModel, reduced: LinearModel, band: tuple[float, float]) -> NDArray[np.float64]:
-    """Rms error of each output over its rms, for each input alone: white noise within a band (relative H2 norm).
+    """Rms error of each output over its rms, under each input alone as white noise within a band (relative H2 norm).
 
     Parameters
     ----------
@@ -175,16 +177,16 @@ def relative_errors(model: LinearModel, reduced: LinearModel, band: tuple[float,
 
 @takes_models
 def errors_by_order(model: LinearModel, scales: Scales, band: tuple[float, float]) -> OrderErrors:
-    """Achieved errors of every order that a model can be cut to.
+    """Errors of the reduced models of every possible order.
 
     Parameters
     ----------
     model
-        As for `balanced_truncation`.
+        The model to be reduced, as in `balanced_truncation`.
     scales
         The balancing units.
     band
-        [Hz] over which the errors count.
+        Band [Hz] of the white noise under which the errors are computed.
     """
     hankel = balanced_truncation(model, 1, scales).hankel_singular_values
     orders = np.arange(1, int(np.sum(hankel > NEGLIGIBLE * hankel[0])) + 1)
@@ -193,7 +195,7 @@ def errors_by_order(model: LinearModel, scales: Scales, band: tuple[float, float
         try:
             reduced = balanced_truncation(model, int(states), scales).model
         except AbraceError:
-            continue  # unstable in rounding: equal Hankel singular values on both sides of the cut
+            continue  # unstable by rounding: the last value kept and the first left out are equal
         achieved[i] = relative_errors(model, reduced, band)
     return OrderErrors(orders, achieved)
 
@@ -205,7 +207,7 @@ def _white_noise(band: tuple[float, float]) -> tuple[NDArray[np.float64], NDArra
 
 
 def _gramian_root(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """L with L L' = the Gramian of (A, B); the Gramian may be singular, as Cholesky's method does not allow."""
+    """L with L L' = the Gramian of (A, B); unlike Cholesky's method it allows a singular Gramian."""
     gramian = linalg.solve_continuous_lyapunov(a, -b @ b.T)
     values, vectors = linalg.eigh((gramian + gramian.T) / 2)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
