@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Has the building changed? The modes of two ambient tests compared, each difference with its probability."""
+"""Detection of changes of a building: the modes of two ambient tests compared by a significance test."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ if TYPE_CHECKING:
     from abrace_sysid.ambient.modes import AmbientMode, AmbientTest
 
 NEAR, ALIKE = 0.2, 0.6
-"""Modes of two tests are the same where frequencies differ by less, and the modal assurance criterion is more."""
+"""Modes of two tests are matched if their frequencies differ by less than NEAR (relative) and their modal assurance
+criterion is above ALIKE."""
 SIGNIFICANCE = 0.01
 """Probability of a false alarm over all modes of an unchanged building."""
 
 
 @dataclass(frozen=True)
 class ModeChange:
-    """One mode before and after.
+    """One mode found in both tests.
 
     Parameters
     ----------
@@ -33,7 +34,7 @@ class ModeChange:
     assurance
         Modal assurance criterion of the two shapes.
     probability
-        That frequency and damping ratio differ by as much or more where nothing has changed.
+        Probability that frequency and damping ratio differ at least as much in an unchanged building.
     """
 
     before: AmbientMode
@@ -43,25 +44,25 @@ class ModeChange:
 
     @property
     def frequency_change(self) -> float:
-        """Relative."""
+        """Relative change of the frequency."""
         return self.after.frequency / self.before.frequency - 1
 
     @property
     def damping_change(self) -> float:
-        """Relative."""
+        """Relative change of the damping ratio."""
         return self.after.damping / self.before.damping - 1
 
 
 @dataclass(frozen=True)
 class BuildingChange:
-    """Two ambient tests of one building.
+    """The comparison of two ambient tests of one building.
 
     Parameters
     ----------
     modes
-        Those found in both, slowest first.
+        Modes found in both tests, lowest frequency first.
     gone, new
-        Modes of one test alone.
+        Modes found only in the first test, and only in the second.
     """
 
     modes: tuple[ModeChange, ...]
@@ -70,7 +71,7 @@ class BuildingChange:
 
     @property
     def changed(self) -> tuple[ModeChange, ...]:
-        """The modes whose difference chance does not explain."""
+        """The modes that have changed significantly (Bonferroni correction for their number)."""
         return tuple(mode for mode in self.modes if mode.probability < SIGNIFICANCE / len(self.modes))
 
 
@@ -80,7 +81,7 @@ def compare_tests(before: AmbientTest, after: AmbientTest) -> BuildingChange:
     Parameters
     ----------
     before, after
-        Of the same channels.
+        The two tests, with the same channels.
 
     Raises
     ------

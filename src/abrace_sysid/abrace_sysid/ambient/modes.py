@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From records of an ambient test to the modes of the structure: those that stay the same from order to order."""
+"""Modes of a structure from an ambient test: the poles that stay the same as the model order rises."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 OVERSAMPLING = 2.56
-"""Sample rate after decimation, times the band's upper end."""
+"""Least sample rate after decimation, as a multiple of the band's upper end."""
 WIDEST = 1500
 """Greatest number of rows of the Hankel matrix."""
 LEAST_PIECES, MOST_PIECES = 8, 40
 PERIODS = 30.0
-"""Periods of the band's lower end in a piece."""
+"""Least length of a piece, in periods of the band's lower end."""
 FREQUENCY, SHAPE = 0.02, 0.05
-"""Below these differences a pole is that of the order below: relative, and 1 less the modal assurance criterion."""
+"""A pole is the same mode as one of a lower order if their frequencies differ by less than FREQUENCY (relative) and 1
+minus their modal assurance criterion is below SHAPE."""
 HEAVY_DAMPING = 0.2
-"""Ratio from which on a pole is no mode of a structure."""
+"""Poles with at least this damping ratio are not taken as modes of a structure."""
 UNCERTAIN = 0.02
-"""Relative standard deviation of a frequency from which on a pole is none of the structure; of a damping ratio: 1."""
+"""Poles are discarded if their frequency's relative standard deviation reaches this, or their damping ratio's 1."""
 LEAST_SHARE = 0.35
-"""Of all orders, at which a mode has to be found."""
+"""A mode must be found at this share of all orders at least."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +47,11 @@ class AmbientMode:
     frequency, damping
         [rad/s] and damping ratio.
     covariance
-        (2, 2) of both.
+        (2, 2) covariance of frequency and damping ratio.
     shape
-        (channels,) complex, the greatest entry 1.
+        (channels,) complex mode shape, its greatest entry 1.
     orders
-        At how many orders it was found.
+        Number of orders at which the mode was found.
     """
 
     frequency: float
@@ -67,22 +68,23 @@ class AmbientMode:
 
 @dataclass(frozen=True)
 class AmbientTest:
-    """What an ambient test says of a structure.
+    """The result of an ambient test.
 
     Parameters
     ----------
     source
-        Where the records came from.
+        Origin of the records.
     channels
-        Their names.
+        Names of the channels.
     modes
-        Slowest first.
+        Modes of the structure, lowest frequency first.
     candidates
-        Of all orders, for the stabilisation diagram.
+        Poles of all orders, for the stabilisation diagram.
     pieces
-        Of the records, from which the uncertainty comes: it has one degree of freedom less.
+        Number of pieces of the records from which the covariances are estimated; these have one degree of freedom
+        less.
     seconds
-        Length of all records.
+        Total length of the records.
     spectrum
         (lines, 2) frequency [Hz] and first singular value of the spectral matrix of the scaled channels.
     """
@@ -109,22 +111,23 @@ def ambient_modes(
     Parameters
     ----------
     source
-        For messages.
+        Origin of the records, for messages.
     records
         Each (samples, channels), any units.
     channels
-        Their names.
+        Names of the channels.
     sample_rate
         [Hz].
     band
         Lowest and highest frequency of modes [Hz].
     highest_order
-        Greatest number of poles that are tried.
+        Greatest model order (number of poles).
 
     Raises
     ------
     AbraceError
-        If the band is none, a value is not finite, a channel never changes, or the records are too short.
+        If the band is not within 0 to half the sample rate, a value is not finite, a channel never changes, or the
+        records are too short.
     """
     low, high = band
     if not 0 < low < high <= sample_rate / 2:
@@ -151,7 +154,7 @@ def ambient_modes(
         covariances = OutputCovariances(prepared, lags, pieces)
     except AbraceError as error:
         raise AbraceError(
-            f"{source}: {error} at {rate:g} Hz: a longer record, or a higher lower end of the band"
+            f"{source}: {error} at {rate:g} Hz: use a longer record, or raise the lower end of the band"
         ) from error
     candidates = covariances.modes(range(2, highest_order + 1, 2), 1 / rate)
     modes = [replace_shape(mode, size) for mode in _tracked(candidates, band)]
@@ -167,7 +170,7 @@ def ambient_modes(
 
 
 def replace_shape(mode: AmbientMode, size: NDArray[np.float64]) -> AmbientMode:
-    """The `mode` with its shape in the channels' own units, of which each had been divided by its `size`."""
+    """The `mode` with its shape in the channels' units; the channels were divided by their `size` for the fit."""
     shape = mode.shape * size
     return AmbientMode(
         mode.frequency, mode.damping, mode.covariance, shape / shape[np.argmax(np.abs(shape))], mode.orders
@@ -175,7 +178,7 @@ def replace_shape(mode: AmbientMode, size: NDArray[np.float64]) -> AmbientMode:
 
 
 def _prepared(record: NDArray[np.float64], sample_rate: float, factor: int, low: float) -> NDArray[np.float64]:
-    """Without what is slower than the band or faster than half the new rate."""
+    """The record after high-pass filter, anti-alias filter and decimation by `factor`."""
     high_pass = signal.butter(2, low / 2, "highpass", fs=sample_rate, output="sos")
     still = signal.sosfiltfilt(high_pass, signal.detrend(record, axis=0, type="constant"), axis=0)
     if factor > 1:
@@ -185,7 +188,7 @@ def _prepared(record: NDArray[np.float64], sample_rate: float, factor: int, low:
 
 
 def _tracked(candidates: Sequence[SubspaceModes], band: tuple[float, float]) -> list[AmbientMode]:
-    """The modes that are found again from order to order; of each the member that is least uncertain."""
+    """The modes that recur as the order rises; of each the estimate with the smallest covariance."""
     tracks: list[list[tuple[int, AmbientMode]]] = []
     low, high = (2 * np.pi * end for end in band)
     for level, found in enumerate(candidates):
@@ -212,7 +215,7 @@ def _tracked(candidates: Sequence[SubspaceModes], band: tuple[float, float]) -> 
     modes: list[AmbientMode] = []
     for track in sorted(tracks, key=len, reverse=True):
         best = min((mode for _, mode in track), key=lambda mode: float(np.linalg.det(mode.covariance)))
-        # at high orders a mode may come twice
+        # at high orders a mode may appear twice
         if len(track) >= LEAST_SHARE * len(candidates) and not any(_same(best, mode) for mode in modes):
             modes.append(AmbientMode(best.frequency, best.damping, best.covariance, best.shape, len(track)))
     return sorted(modes, key=lambda mode: mode.frequency)

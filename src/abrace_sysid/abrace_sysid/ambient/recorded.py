@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded tests of a rig as ambient tests: responses alone, no command, whatever moves the table."""
+"""Recorded tests of a rig as ambient tests: only the responses are used, commands are zero, the table may move."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
 def ambient_test(
     runs: Sequence[Run], channels: Sequence[str], band: tuple[float, float], highest_order: int
 ) -> tuple[AmbientTest, tuple[str, ...]]:
-    """Modes from recorded tests without commands, and a warning for each of which a piece is used alone.
+    """Modes from recorded tests without commands, and a warning for each test of which only a piece is used.
 
     Parameters
     ----------
     runs
-        Of one rig; of each the longest piece without a gap is used.
+        Tests of one rig; the longest piece without a gap of each is used.
     channels
-        Names of the outputs to use; none: the accelerations.
+        Names of the outputs to use; empty: the accelerations.
     band, highest_order
         As for `ambient_modes`.
 
     Raises
     ------
     AbraceError
-        If there is a command, the rigs differ, or as in `ambient_modes`.
+        If a command is not zero, the rigs differ, or as in `ambient_modes`.
     """
     first = runs[0]
     names = tuple(channels) or tuple(name for name in first.names if name[0] == "a")

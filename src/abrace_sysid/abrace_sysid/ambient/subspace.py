@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modes from responses alone, with their uncertainty: stochastic subspace identification from output covariances.
+"""Modes from responses only, with their uncertainty: covariance-driven stochastic subspace identification.
 
-The covariances R(k) of the responses at lags 1, 2, ... are those of a free decay of the structure, if the excitation is
-white over the band. Put into a block Hankel matrix they have the rank of the system: its left singular vectors are an
-observability matrix, whose shift gives poles and mode shapes (Peeters and De Roeck 1999). White noise of the sensors is
-in R(0) alone, which is not used.
+If the excitation is white over the band, the covariances R(k) of the responses at lags k = 1, 2, ... have the form of a
+free decay of the structure. The block Hankel matrix of the R(k) has the rank of the system. Its left singular vectors
+form an observability matrix, and the shift structure of that matrix gives poles and mode shapes (Peeters and De Roeck
+1999). White sensor noise affects only R(0), which is not used.
 
-The uncertainty is that of the covariances, estimated from pieces of the record, carried to first order through singular
+The uncertainty of the R(k) is estimated from pieces of the record, and propagated to first order through singular
 vectors, least squares and eigenvalues (Reynders, Pintelon and De Roeck 2008; Doehler and Mevel 2013).
 """
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SubspaceModes:
-    """The oscillating poles of one order, slowest first.
+    """The oscillating poles of one model order, lowest frequency first.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class SubspaceModes:
     covariance
         (modes, 2, 2) of frequency and damping ratio.
     shapes
-        (modes, channels) complex, the greatest entry of each 1.
+        (modes, channels) complex mode shapes, the greatest entry of each 1.
     """
 
     order: int
@@ -51,16 +51,16 @@ class SubspaceModes:
 
 
 class OutputCovariances:
-    """The Hankel matrix of the covariances of responses, and how it varies from piece to piece.
+    """The Hankel matrix of the output covariances, and its variation from piece to piece of the records.
 
     Parameters
     ----------
     records
-        Each (samples, channels), of one structure and at the same rate, without means.
+        Each (samples, channels), of one structure and at the same rate, means removed.
     lags
-        Block rows and columns of the Hankel matrix; the longest lag is twice that.
+        Number of block columns of the Hankel matrix, one less than its block rows; the longest lag is twice that.
     pieces
-        Into which all records together are cut.
+        Number of pieces into which all records together are cut.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class OutputCovariances:
         share = np.array(weights) / sum(weights)
         mean = np.einsum("j,jkab->kab", share, np.array(covariances))
         self.hankel = self._hankel(mean)
-        # deviations of the mean: those of the pieces, each with its share of the record
+        # deviations of the mean: those of the pieces, weighted by each piece's share of the record
         scale = np.sqrt(self.pieces / (self.pieces - 1)) if self.pieces > 1 else np.inf
         self._deviations = [
             scale * part * self._hankel(one - mean) for part, one in zip(share, covariances, strict=True)
@@ -103,7 +103,7 @@ class OutputCovariances:
 
     @property
     def singular_values(self) -> NDArray[np.float64]:
-        """Of the Hankel matrix, greatest first."""
+        """Singular values of the Hankel matrix, greatest first."""
         return self._singular
 
     def modes(self, orders: Sequence[int], sample_period: float) -> list[SubspaceModes]:
@@ -114,8 +114,8 @@ class OutputCovariances:
 
     def _modes(self, order: int, projected: NDArray[np.float64], sample_period: float) -> SubspaceModes:
         observability = self._left[:, :order]
-        # to first order the singular vectors turn within their space, which moves no pole, and out of it; singular
-        # values beyond the order are noise, and small
+        # to first order the singular vectors move within their space, which changes no pole, and out of it; singular
+        # values beyond the order are noise, taken as small
         moved = projected / self._singular[:order]
         moved = moved - observability @ (observability.T @ moved)
         above, below = observability[: -self.channels], observability[self.channels :]

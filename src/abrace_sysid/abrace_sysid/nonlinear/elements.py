@@ -1,21 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is not linear in a rig, as forces on its identified model.
+"""Nonlinear elements of a rig: forces and impulses that act on its identified linear model.
 
-Each element answers to a motion r of the model, with a force or an impulse:
+Each element responds to a motion r of the model with a force or an impulse:
 
-- Friction of a storey: a force within its limit on the floors above and below it, against the rate of its drift.
+- Friction of a storey: a force on the floors above and below, up to a limit, against the rate of the storey drift.
 - Joints of a storey: a force on the same floors. Part of the storey's stiffness yields (Bouc 1967, Wen 1976, with
   exponent 1 and a yield drift far beyond the tests' drifts), so that softening and loss grow with the drift.
-- Deadband of a valve: a force on the command, against the flow v + (tau / c) f'. The force is short of the command by
-  the error at which the valve still is shut.
-- Backlash of the pins: an impulse on the command when the brace's force changes sign. While the rod crosses the
-  clearance b, the servo's velocity feedback c makes c b less of the force's impulse.
-- Seals of a brace: an impulse on the command when the stroke turns. The servo takes the friction back within its lag.
+- Deadband of a valve: a force added to the command, against the flow v + (tau / c) f'. The brace's force falls short of
+  the command by the greatest force error at which the valve remains shut.
+- Backlash of the pins: an impulse added to the command when the brace's force changes sign. While the rod crosses the
+  clearance b, the servo's velocity feedback c reduces the impulse of the force by c b.
+- Seals of a brace: an impulse added to the command when the stroke reverses. The servo compensates the friction within
+  its lag.
 
-The floors are moved by the building's modes, whose shapes are those of the model's displacements; by reciprocity they
-say how a force on a floor drives the modes, once the floors' masses are known (`validity.mechanics`). What an element
-does on the average the linear model has already, as a slope of the force over r at the amplitude of the tests (Bussgang
-1952): it is taken off where the element acts.
+Forces on floors act through the building's modes. The mode shapes are those of the model's displacements. By
+reciprocity they also determine how a force on a floor drives the modes, once the floors' masses are known
+(`validity.mechanics`). The linear model already contains the mean effect of each element, as a slope of force over r at
+the amplitude of the tests (Bussgang 1952). This slope is subtracted when the element is simulated.
 """
 
 from __future__ import annotations
@@ -33,34 +34,34 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 KEY = "not linear"
-"""In the provenance of a model: its `Nonlinearity`."""
+"""Key of the `Nonlinearity` in a model's provenance."""
 
 OF_STOREYS, IMPULSES = ("friction", "joints"), ("backlash", "seals")
-"""Kinds of elements between floors, the others being of brace groups; and those that act by impulses."""
+"""Kinds of elements that act between floors (the others act on brace groups), and kinds that act by impulses."""
 
 UNITS = {"friction": "N", "joints": "N/m", "deadband": "N", "backlash": "N s", "seals": "N s"}
 
 SERVO_LINES = 200
-"""Frequencies at which the servo is looked at, between half the first and twice the last mode."""
+"""Number of frequencies at which the servo is fitted, from half the first mode's to twice the last mode's."""
 
 
 @dataclass(frozen=True)
 class Element:
-    """One of them.
+    """One nonlinear element.
 
     Parameters
     ----------
     kind
         "friction", "joints", "deadband", "backlash" or "seals".
     place
-        Storey, 1 the lowest, or brace group, 1 the first.
+        Number of the storey (1 is the lowest) or of the brace group (from 1).
     limit, deviation
-        Greatest force [N], of backlash and seals half the impulse [N s], of joints the stiffness that yields [N/m];
-        and its standard deviation.
+        Size of the element and its standard deviation: greatest force of friction and deadband [N], half the impulse
+        of backlash and seals [N s], the stiffness of joints that yields [N/m].
     slope
-        Of the force over r in the linear model.
+        Slope of the force over r that the linear model already contains.
     yield_drift
-        Of joints [m].
+        Yield drift of joints [m]; 0 for other kinds.
     """
 
     kind: str
@@ -72,20 +73,20 @@ class Element:
 
     @property
     def name(self) -> str:
-        """As a signal of a model."""
+        """The element's name as an input of a model."""
         return f"{self.kind} {self.place}"
 
 
 @dataclass(frozen=True)
 class Nonlinearity:
-    """All elements of a rig, and what they need to act on a model.
+    """All nonlinear elements of a rig, and the masses and modes with which they act on its model.
 
     Parameters
     ----------
     elements
-        Each found in the tests.
+        The elements.
     masses
-        Of the floors, lowest first [kg].
+        Masses of the floors, lowest first [kg].
     modes
         Frequencies of the building's modes [rad/s].
     """
@@ -96,12 +97,12 @@ class Nonlinearity:
 
     @property
     def kinds(self) -> str:
-        """Each kind once, as it is shown."""
+        """The kinds of elements, each once, as text."""
         return ", ".join(dict.fromkeys(one.kind for one in self.elements))
 
     @property
     def text(self) -> str:
-        """Each element with its limit, joints without."""
+        """The elements as text; those with a force in newtons with its size."""
         said = []
         for one in self.elements:
             where = f"{'storey' if one.kind in OF_STOREYS else 'brace group'} {one.place}"
@@ -111,7 +112,7 @@ class Nonlinearity:
 
     @classmethod
     def of_model(cls, model: LinearModel) -> Nonlinearity | None:
-        """As it stands in a model's provenance; None: it is not there."""
+        """The nonlinearity in a model's provenance; None: the model has none."""
         content: dict[str, Any] | None = model.provenance.get(KEY)
         if content is None:
             return None
@@ -119,18 +120,18 @@ class Nonlinearity:
         return cls(elements, tuple(content["masses"]), tuple(content["modes"]))
 
     def noted_in(self, model: LinearModel) -> LinearModel:
-        """The `model` with this in its provenance."""
+        """The `model` with this nonlinearity in its provenance."""
         return replace(model, provenance={**model.provenance, KEY: asdict(self)})
 
 
 @takes_models
 def with_elements(model: LinearModel, found: Nonlinearity) -> LinearModel:
-    """The model with an input for the force or impulse of each element, and its motion r as an output.
+    """The model with an additional input (force or impulse) and an additional output (motion r) for each element.
 
     Parameters
     ----------
     model
-        Continuous; with all displacements and accelerations of the floors, strokes and forces.
+        Continuous; its outputs include all displacements and accelerations of the floors, strokes and forces.
     found
         The elements; limits and slopes are not used.
     """
@@ -167,9 +168,9 @@ def with_elements(model: LinearModel, found: Nonlinearity) -> LinearModel:
 
 
 def _compliance(model: LinearModel, stroke: str, force: str, modes: tuple[float, ...]) -> float:
-    """Lag over velocity feedback of a servo [m/N].
+    """Lag over velocity feedback of a servo [m/N], from the model's response to the table.
 
-    With zero command f = - c v - lag f' - rate times the integral of f, which the response to the table shows.
+    With zero command the force obeys f = - c v - lag f' - rate times the integral of f.
     """
     omega = np.linspace(0.5 * min(modes), 2.0 * max(modes), SERVO_LINES)
     response = model.select([stroke, force], [signals.GROUND]).frequency_response(omega)[:, :, 0]
@@ -182,11 +183,12 @@ def _compliance(model: LinearModel, stroke: str, force: str, modes: tuple[float,
 
 @dataclass(frozen=True)
 class _Building:
-    """The building's modes in a model: what forces between floors do to it, and how floors move.
+    """The building's modes in a model: the effect of forces between floors, and the motion of the floors.
 
-    `drive` (states, storeys) and `direct` (outputs, storeys) are of forces that open a storey; `drifts` and
-    `drift_rates` (storeys, states); `vectors` (states, modes) and `rows` (modes, states) of the modes above the real
-    axis, with their `poles`.
+    `drive` (states, storeys) and `direct` (outputs, storeys) are the B and D columns of a pair of forces that increases
+    a storey's drift. `drifts` and `drift_rates` (storeys, states) are C rows of the drifts and of their rates.
+    `vectors` (states, modes) and `rows` (modes, states) are right and left eigenvectors of the `poles` above the real
+    axis.
     """
 
     poles: NDArray[np.complex128]
@@ -205,7 +207,7 @@ class _Building:
         poles, vectors, rows = poles[own], vectors[:, own], rows[own]
         floors, masses = len(found.masses), np.array(found.masses)
         seen = model.c[[model.outputs.index(f"x{floor}") for floor in range(1, floors + 1)]] @ vectors
-        # of each mode the phase and size that make its shape real and of unit modal mass
+        # scale each mode so that its shape is real and its modal mass is 1
         scale = np.exp(0.5j * np.angle(np.sum(seen**2, axis=0)))
         shapes = (seen / scale).real
         size = np.sqrt(masses @ shapes**2)
@@ -220,5 +222,5 @@ class _Building:
         return cls(poles, vectors, rows, drive, direct, drifts, rates)
 
     def rate(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(states,) that give the rate of what a `row` (states,) gives, as far as the building moves it."""
+        """(states,) the C row of the time derivative of a signal with C row `row`, in the building's modes only."""
         return np.asarray(2 * np.real((self.poles * (row @ self.vectors)) @ self.rows))

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the linear model leaves of its tests, explained by what is not linear in the rig.
+"""Estimation of nonlinear elements from the residual of the linear model in its tests.
 
-Of a linear model driven as in the test, and of n the forces of its elements,
+The residual of the linear model, driven by the inputs of the test, is the response to the elements' forces n:
 
-    y - y_linear = H n,    n = slope r - limit s,
+    y - y_linear = H n,    n = slope r - limit s.
 
-with r the motion of each element, s its sign (between -1 and 1 where it sticks; of joints less their slip), and H the
-model's response to the element's force. r and s are those of the simulated test; limit and slope follow by linear
-regression over the lines of all tests and channels together. With what was found the tests are simulated anew.
+r is the motion of each element and s its sign (between -1 and 1 while it sticks; of joints minus their slip). H is the
+model's response to the element's force. r and s are taken from a simulation of the test. Limit and slope follow from a
+linear regression over the frequency lines of all tests and channels. Then the tests are simulated again with the
+elements found, and the regression is repeated.
 """
 
 from __future__ import annotations
@@ -34,29 +35,30 @@ if TYPE_CHECKING:
     from abrace_core.run import Run
 
 ROUNDS = 3
-"""Simulations of the tests."""
+"""Number of rounds, each a simulation of the tests and a regression."""
 
 CERTAIN = 5.0
-"""Standard deviations that the limit of an element must be above zero to be kept."""
+"""An element is kept if its limit is above zero by more than this many standard deviations."""
 
 YIELD = 5.0
-"""Yield drift of joints over the greatest drift in the tests: far beyond it their force is all that matters of both."""
+"""Assumed yield drift of joints over the greatest drift in the tests. As far beyond the tests' drifts as this, only the
+ratio of yielding stiffness to yield drift affects the force."""
 
 
 @takes_models
 def find_elements(
     model: LinearModel, tests: Sequence[tuple[Run, tuple[float, float]]], candidates: Nonlinearity
 ) -> Nonlinearity:
-    """The elements that the tests show.
+    """The elements that are significant in the tests, with their limits and slopes.
 
     Parameters
     ----------
     model
         Continuous, identified from the tests.
     tests
-        Each with the band [Hz] in which it was excited; without gaps, from rest.
+        Each test with the band [Hz] that was excited; without gaps, beginning at rest.
     candidates
-        What may be there; limits and slopes are not used.
+        The elements that are considered; their limits and slopes are not used.
     """
     drifts = [np.diff(run.channels(run.names[: run.floors]), axis=1, prepend=0.0) for run, _ in tests]
     far = YIELD * max(float(np.abs(one).max()) for one in drifts)
@@ -83,9 +85,9 @@ def find_elements(
 def _regressors(
     model: LinearModel, run: Run, band: tuple[float, float], found: Nonlinearity
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """What the linear model leaves of a test, all channels behind one another, and what the elements make in it.
+    """The linear model's residual in a test, channel after channel, and the regressors of the elements.
 
-    (lines * outputs,) and (lines * outputs, 2 elements).
+    Shapes (lines * outputs,) and (lines * outputs, 2 elements).
     """
     names, period = list(model.outputs), run.sample_period
     inputs = np.column_stack([held_input(run, name) for name in model.inputs])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is not linear in a rig, found in the tests of its identification and noted in its model."""
+"""Nonlinear elements of a rig, estimated from the tests of its identification."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ if TYPE_CHECKING:
     from abrace_sysid.identification import Identification
 
 SHOWN_BY = {"friction", "backlash"}
-"""What validity names where it is worth to look."""
+"""Causes named by the validity checks that start a search for nonlinear elements."""
 
 
 def elements_of_tests(
     found: Identification, options: IdentificationOptions, causes: Collection[str]
 ) -> Nonlinearity | None:
-    """What the tests of an identification show of friction, joints, deadband, backlash and seals; None: nothing.
+    """Friction, joints, deadband, backlash and seals that the tests of an identification show; None: nothing.
 
     Parameters
     ----------
     found
-        What was identified.
+        The identification.
     options
-        Those of the identification.
+        Options of the identification.
     causes
-        What validity names; without friction and backlash nothing is sought, nor where a floor's sensors or the load
-        cells do not answer.
+        Causes named by the validity checks. Elements are searched only if friction or backlash is among them, and if
+        the sensors of all floors and the load cells respond.
     """
     floors, groups = found.table.runs[0].floors, found.table.runs[0].groups
     wanted = signals.response_names(floors, groups)

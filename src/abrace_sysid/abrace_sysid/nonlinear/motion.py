@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The identified model with its elements that are not linear, sample by sample.
+"""Simulation of the identified model with its nonlinear elements, sample by sample.
 
-Over a sample each element but joints holds against its motion with the constant force, or impulse, within its limit
-that leaves the least motion at the sample's end (time stepping after Moreau 1988; several at once by Gauss and Seidel).
+Each element except joints opposes its motion with a force or impulse that is constant over a sample. Within its limit
+it is the one that leaves the least motion at the sample's end (time stepping after Moreau 1988). Several elements are
+solved together by Gauss-Seidel iteration.
 """
 
 from __future__ import annotations
@@ -24,21 +25,22 @@ if TYPE_CHECKING:
     from abrace_sysid.nonlinear.elements import Nonlinearity
 
 SWEEPS = 50
-"""Of Gauss and Seidel, at most."""
+"""Greatest number of Gauss-Seidel iterations in a sample."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A test as it was simulated.
+    """A simulated test.
 
     Parameters
     ----------
     outputs
         (samples, outputs) of the model.
     commands
-        (samples, commands) [N], in force until each sample.
+        (samples, commands) [N], the commands that act up to each sample.
     motions, held
-        (samples, elements) r of each element, and what it holds: force or impulse; of joints their slip [m].
+        (samples, elements) motion r of each element, and the force or impulse with which it opposes the motion; of
+        joints their slip [m].
     """
 
     outputs: NDArray[np.float64]
@@ -58,22 +60,23 @@ def simulate_nonlinear(
     capacity: NDArray[np.float64] | None = None,
     correction: NDArray[np.float64] | None = None,
 ) -> Motion:
-    """The `model` from rest with its elements, under given commands or those of a controller.
+    """Simulate the `model` with its elements from rest, under given commands or in closed loop with a controller.
 
     Parameters
     ----------
     model
         Continuous, with the ground acceleration first among its inputs, then the commands.
     found
-        Its elements.
+        Nonlinear elements of the model.
     sample_period
         Seconds.
     ground_acceleration
         (samples,) [m/s^2].
     commands
-        (samples, commands) [N], in force from each sample on; of no matter to a test with a controller.
+        (samples, commands) [N], each acts from its sample on; not used with a controller.
     controller, capacity, correction
-        As of `abrace_core.simulation.simulate_closed_loop`; None: the `commands` act, without limit, no correction.
+        As in `abrace_core.simulation.simulate_closed_loop`. Without a controller the `commands` act; without capacity
+        there is no limit.
     """
     sampled, groups = discretize(with_elements(model, found), sample_period), commands.shape[1]
     limit = np.full(groups, np.inf) if capacity is None else np.asarray(capacity, dtype=np.float64)
@@ -110,10 +113,10 @@ def _moved(
     elements: NDArray[np.float64],
     period: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Outputs with motions, commands until each sample, and what is held.
+    """Outputs followed by motions, commands that act up to each sample, and the elements' forces, impulses or slips.
 
-    `elements` (elements, 4) are limit, slope, whether it is an impulse, yield drift; `given` (0, commands): the law
-    commands.
+    The columns of `elements` (elements, 4) are limit, slope, 1 for an impulse, and yield drift. If `given` is empty,
+    (0, commands), the controller gives the commands.
     """
     a, b, c, d = matrices
     law_a, law_b, law_c, law_d, correction = law
@@ -139,7 +142,7 @@ def _moved(
             wanted = law_c @ memory + law_d @ seen
             command = np.minimum(np.maximum(wanted, -capacity), capacity)
             memory = law_a @ memory + law_b @ seen + correction @ (command - wanted)
-        # what the linear model has of the elements on the average is taken off; joints
+        # the elements' mean effect, which the linear model contains, is subtracted; the force of joints is added
         for j in range(count):
             now = outputs[k, channels + j]
             path = now - before[j]
