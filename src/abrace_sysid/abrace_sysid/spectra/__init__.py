@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time histories to transfer functions and their noise."""
+"""Transfer functions and their noise, estimated from time histories."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What follows from a test with noise or a multisine itself: the band that it excites, and its slowest resonance."""
+"""The band that a test with noise or a multisine excites, and the slowest resonance in its responses."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from abrace_sysid.measured_data import MeasuredData
 
 EXCITED = 0.02
-"""Power of a line, as a share of the mean of those that carry the excitation, from which on it is excited."""
+"""A line is excited if its power exceeds this share of the mean power of the lines that carry the excitation."""
 
 LEAST_PERIODS = 20
-"""Of the slowest motion that is identified within the record: slower ones hardly repeat themselves, sensors drift."""
+"""The band begins where at least this many periods fit into the record; slower motion is masked by sensor drift."""
 
 LOWEST = 0.25
-"""Where the band begins as a share of the slowest resonance's frequency."""
+"""The band does not begin below this share of the slowest resonance's frequency."""
 
 EXPECTED_DAMPING = 0.015
-"""Damping ratio that is expected of the slowest resonance."""
+"""Expected damping ratio of the slowest resonance."""
 
 SMOOTHED = 9
-"""Lines over which power is averaged where a resonance is sought."""
+"""Number of lines over which power is averaged before the slowest resonance is searched."""
 
 
 def excited_band(run: Run, name: str) -> tuple[float, float]:
@@ -41,30 +41,30 @@ def excited_band(run: Run, name: str) -> tuple[float, float]:
     run
         The test.
     name
-        The input; of one that is zero all frequencies are returned.
+        The input; for an input that is zero, 0 and half the sample rate are returned.
     """
     excitation = np.nan_to_num(held_input(run, name), posinf=0.0, neginf=0.0)
     power = np.abs(transform(excitation[:, None])[:, 0]) ** 2
     frequency = np.arange(len(power)) / (len(excitation) * run.sample_period)
     if not power.any():
         return 0.0, 0.5 / run.sample_period
-    # of noise the power's own mean, weighted by itself, is twice that of the lines that carry it
+    # for noise the power's mean weighted by itself is twice the mean power of the excited lines
     excited = frequency[power > EXCITED * np.sum(power**2) / np.sum(power) / 2]
     return float(excited[0]), float(excited[-1])
 
 
 def common_band(runs: Sequence[Run], names: Sequence[str]) -> tuple[float, float]:
-    """Of all tests and inputs that are excited in them: `excited_band`, where they overlap.
+    """The overlap of the excited bands of all tests and inputs; inputs that are zero do not count.
 
-    It begins where LEAST_PERIODS are within the longest test, and at LOWEST of the slowest resonance: below that a
-    building only follows statically, and what sensors drift counts.
+    The band begins at the higher of two limits: where LEAST_PERIODS fit into the longest test, and LOWEST times the
+    slowest resonance. Below these the building follows quasi-statically, and sensor drift matters.
 
     Parameters
     ----------
     runs
-        The tests, one at least.
+        The tests, at least one.
     names
-        Of the inputs.
+        Names of the inputs.
     """
     moving = [(run, name) for run in runs for name in names if np.any(held_input(run, name))]
     bands = [excited_band(run, name) for run, name in moving or [(runs[0], names[0])]]
@@ -77,7 +77,7 @@ def common_band(runs: Sequence[Run], names: Sequence[str]) -> tuple[float, float
 
 
 def slowest_resonance(run: Run | MeasuredData, band: tuple[float, float]) -> float:
-    """Frequency [Hz] at which the floors' displacements are greatest; of measured data, where most channels are.
+    """Frequency [Hz] of the greatest displacement spectrum, median over floors (measured data: all outputs).
 
     Parameters
     ----------
@@ -94,8 +94,8 @@ def slowest_resonance(run: Run | MeasuredData, band: tuple[float, float]) -> flo
 
 
 def slowest_bandwidth(run: Run | MeasuredData, band: tuple[float, float]) -> float:
-    """2 zeta omega [rad/s] of the slowest resonance, with the damping that is expected of it.
+    """Half-power bandwidth 2 zeta omega [rad/s] of the slowest resonance, with EXPECTED_DAMPING as zeta.
 
-    `run`, `band`: as in slowest_resonance.
+    `run`, `band`: as in `slowest_resonance`.
     """
     return 2 * EXPECTED_DAMPING * 2 * np.pi * slowest_resonance(run, band)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Levels of nonlinear distortion for a transfer function, from the lines of a multisine that no input excites.
+"""Levels of nonlinear distortion of a transfer function, from the lines of a multisine test that no input excites.
 
 The distortion at these lines is representative of that at the excited lines between them (Schoukens and Pintelon
-2012, sec. 4.3): even powers of the input at the even lines, odd ones at the odd lines. Divided by the input it is
-in the unit of the transfer function: the error that the distortion causes there, for these phases of the multisine.
+2012, sec. 4.3). Even powers of the input appear at the even lines, odd powers at the odd lines. Divided by the input,
+the distortion is the error of the transfer function that it causes, for these phases of the multisine.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NEIGHBOURS = 5
-"""Lines nearest to an excited one that are averaged."""
+"""Number of unexcited lines, nearest to an excited line, whose power is averaged."""
 
 
 @dataclass(frozen=True)
@@ -29,26 +29,26 @@ class Distortion:
     Parameters
     ----------
     even, odd
-        (lines, channels) standard deviations in the response's unit, the noise among them; NaN: no such line was left
-        out.
+        (lines, channels) standard deviations in the response's unit, noise included; NaN: the multisine leaves out no
+        even (odd) line.
     """
 
     even: NDArray[np.float64]
     odd: NDArray[np.float64]
 
     def select(self, columns: Sequence[int]) -> Distortion:
-        """The same of some channels, given by their `columns`."""
+        """The levels of some channels, given by their `columns`."""
         return Distortion(self.even[:, columns], self.odd[:, columns])
 
     def shares(self, response: NDArray[np.complex128], sigma: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Of noise, even and odd distortion: (channels,) rms over the band, as shares of the response's rms.
+        """Noise, even and odd distortion: (channels,) rms over the band, as shares of the response's rms.
 
-        The noise is taken out of the distortion; 0: no more than noise is seen, NaN: no line was left out.
+        The noise power is subtracted from the distortion. 0: not more than the noise. NaN: no line was left out.
 
         Parameters
         ----------
         response, sigma
-            (lines, channels) the transfer function and its standard deviation by noise.
+            (lines, channels) transfer function and its standard deviation due to noise.
         """
         size = np.mean(np.abs(response) ** 2, axis=0)
         noise = np.mean(sigma**2, axis=0)
@@ -65,18 +65,18 @@ def distortion_beside(
     excited: NDArray[np.bool_],
     unexcited: NDArray[np.bool_],
 ) -> Distortion:
-    """Levels at the excited lines, from those that no input excites.
+    """Distortion levels at the excited lines, estimated from the lines that no input excites.
 
     Parameters
     ----------
     lines
         (lines,) numbers of the lines in the band.
     amplitude
-        (lines, channels) of the outputs.
+        (lines, channels) amplitude of the outputs.
     excitation
         (excited lines,) amplitude of the input.
     excited, unexcited
-        (lines,) which lines the input excites, and which none does.
+        (lines,) which lines the input excites, and which no input excites.
     """
 
     def level(which: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Transfer functions of recorded tests with noise, by a method chosen by name.
+"""Transfer functions of recorded tests with noise, by one of three methods chosen by name.
 
-The paper's "FFT technique" behind Figs. 3 to 5: the local rational method, the local polynomial method or Welch's.
-Periodic tests have a method of their own (`periodic_response`).
+They replace the paper's "FFT technique" of Figs. 3 to 5: the local rational method, the local polynomial method, or
+Welch's method. Periodic tests have their own method (`periodic_response`).
 """
 
 from __future__ import annotations
@@ -22,17 +22,18 @@ if TYPE_CHECKING:
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 LONGEST_SEGMENT = 32768
-"""Samples in a segment of Welch's method: 65 s at 500 Hz, lines of 0.015 Hz."""
+"""Default number of samples in a segment of Welch's method: 65 s at 500 Hz, a frequency resolution of 0.015 Hz."""
 
 Method = Literal["local_rational", "local_polynomial", "welch"]
 
 
 @dataclass(frozen=True)
 class TransferFunctionOptions:
-    """A method and its settings; 0 means chosen by the record's length.
+    """A method and its settings; a setting of 0 is chosen from the record's length.
 
-    The default is the local rational method for every record: worst channel's rms error in % over the band, worst of
-    three seeds, 65 dB sensors, every other method at its best settings:
+    The default is the local rational method, which was best for every length of record. The table gives the rms error
+    over the band in % of the worst channel and the worst of three seeds, with sensors of 65 dB, and every other method
+    at its best settings:
 
     ============================  ============  ============  ============  ============
     table, command                60 s          120 s         300 s         600 s
@@ -47,14 +48,15 @@ class TransferFunctionOptions:
     method
         "local_rational", "local_polynomial" or "welch".
     order, half_width
-        Of the local methods. By default 2 and `automatic_half_width` for the rational one, 4 and 6 for the polynomial
-        one.
+        Settings of the local methods: order of the polynomials, and half-width of the windows in lines. By default 2
+        and `automatic_half_width` for the rational method, 4 and 6 for the polynomial method.
     segment
         Samples in each segment of Welch's method. By default 32768, or a quarter of a shorter record.
     window, overlap, estimator
-        Of Welch's method, see `welch`.
+        Settings of Welch's method, see `welch`.
     bandwidth
-        2 zeta omega [rad/s] of the narrowest resonance expected; 0: `slowest_bandwidth` of the first test.
+        Half-power bandwidth 2 zeta omega [rad/s] of the narrowest expected resonance; 0: `slowest_bandwidth` of the
+        first test.
     """
 
     method: Method = "local_rational"
@@ -89,7 +91,7 @@ def frequency_responses(
     Raises
     ------
     AbraceError
-        If the tests are too short for the method, or the method has no such name.
+        If the tests are too short for the method, or there is no method of that name.
     """
     options = options or TransferFunctionOptions()
     runs = runs_of_one_rig(run)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Discrete Fourier transforms of a whole recorded test: what transfer functions and a likelihood are computed from.
+"""Discrete Fourier transforms of a whole recorded test, from which transfer functions and likelihood are computed.
 
-Of the sampled rig, Y(k) = G(k) U(k) + T(k) + V(k) at every line k: U the inputs from each sample on, T the transient
-(leakage, from the difference between the states at the record's ends), V the noise (Pintelon and Schoukens 2012,
-sec. 2.6).
+At every line k the sampled rig obeys Y(k) = G(k) U(k) + T(k) + V(k). U are the inputs that act from each sample on. T
+is the transient (leakage), caused by the difference of the states at the record's two ends. V is the noise (Pintelon
+and Schoukens 2012, sec. 2.6).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Test = TypeVar("Test", Run, MeasuredData)
 """A test of a rig, or measured data."""
 
 ORDER = 2
-"""Of the numerators' and transients' polynomials in local rational fits: as good as higher ones, with less noise."""
+"""Order of the numerator and transient polynomials in local rational fits: as accurate as higher orders, less noise."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,13 @@ class Spectra:
     Parameters
     ----------
     inputs, outputs
-        Names.
+        Names of the signals.
     omega
         (lines,) [rad/s], consecutive lines of the whole record, rising.
     excitation
-        (lines, inputs) complex: transforms of the inputs over the square root of the samples.
+        (lines, inputs) complex transforms of the inputs, over the square root of the number of samples.
     outputs_spectrum
-        (lines, channels) complex: of the outputs, in the same scale.
+        (lines, channels) complex transforms of the outputs, in the same scale.
     sample_period
         Seconds.
     holds
@@ -92,31 +92,32 @@ def spectra_of(run: Run | MeasuredData, inputs: Sequence[str], band: tuple[float
 
 
 def automatic_half_width(seconds: float, inputs: int, bandwidth: float) -> int:
-    """Half-width [lines] of the local rational method's windows for a record of some length.
+    """Half-width [lines] of the local rational method's windows, from the length of the record.
 
-    More lines average more noise, but one pole must do for the whole window: it reaches 6 half-power bandwidths of the
-    least damped mode to either side, there is little to gain beyond 20 lines, and fewer than 4 to an input are too few.
+    More lines average more noise, but a single pole must describe the response in the whole window. The window reaches
+    6 half-power bandwidths of the narrowest resonance to either side. More than 20 lines improve little, and fewer than
+    4 for each input are too few.
 
     Parameters
     ----------
     seconds
         Length of the record.
     inputs
-        How many were excited.
+        Number of inputs that were excited.
     bandwidth
-        2 zeta omega [rad/s] of the narrowest resonance expected.
+        Half-power bandwidth 2 zeta omega [rad/s] of the narrowest expected resonance.
     """
     reach = 6 * bandwidth * seconds / (2 * np.pi)
     return int(np.clip(round(reach), least_half_width(ORDER, inputs) + 3, 20))
 
 
 def runs_of_one_rig(run: Test | Sequence[Test]) -> tuple[Test, ...]:
-    """One `run` or several as a tuple.
+    """The test or tests `run` as a tuple.
 
     Raises
     ------
     AbraceError
-        If there is none, or their channels or sample periods differ.
+        If there is no test, or channels or sample periods differ.
     """
     runs = (run,) if isinstance(run, Run | MeasuredData) else tuple(run)
     if not runs:
@@ -132,7 +133,7 @@ def runs_of_one_rig(run: Test | Sequence[Test]) -> tuple[Test, ...]:
 
 
 def held_input(run: Run | MeasuredData, name: str) -> NDArray[np.float64]:
-    """(samples,) the input `name` of `run`: the ground acceleration at each sample, or the command held from it on."""
+    """(samples,) the input `name` of `run`: ground acceleration at each sample, or the command that acts from it on."""
     if isinstance(run, Run) and name in run.command_names:
         return run.command_from_here[:, run.command_names.index(name)]
     return run.channels([name])[:, 0]
@@ -146,16 +147,16 @@ def lines_within(
     Parameters
     ----------
     run
-        The test: its sample period, and its name for the error.
+        The test; its sample period, and its name for the message, are used.
     samples
-        Length of the transform.
+        Number of samples transformed.
     band
         Lowest and highest frequency [Hz].
 
     Raises
     ------
     AbraceError
-        If there is none.
+        If the band has no line.
     """
     frequency = np.arange(samples // 2) / (samples * run.sample_period)
     lines = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]) & (frequency > 0))
@@ -165,6 +166,6 @@ def lines_within(
 
 
 def transform(series: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """(lines, columns) transform of a `series` (samples, columns) without its means, over the root of its length."""
+    """(lines, columns) transform of `series` (samples, columns), means removed, over the square root of the length."""
     transformed: NDArray[np.complex128] = fft.rfft(series - series.mean(axis=0), axis=0)
     return transformed / np.sqrt(len(series))

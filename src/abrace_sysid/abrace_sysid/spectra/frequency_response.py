@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A measured transfer function with its uncertainty: the curves of Figs. 3 to 5.
 
-It is the response of the *sampled* rig: from an input's value at each sample (a command held until the next, a ground
-acceleration linear in between) to the recorded outputs. So a continuous model is sampled in the same way before it is
-compared with it, and fits of continuous models remove hold and delay first.
+It is the response of the *sampled* rig, from the input's values at the samples to the recorded outputs. A command is
+held until the next sample; a ground acceleration is linear between samples. So a continuous model is discretised in the
+same way before it is compared, and fits of continuous models first remove hold and delay.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class FrequencyResponse:
     method
         Description of the estimation method.
     hold
-        How the input moves between samples; None: as the rig's of that name does.
+        Behaviour of the input between samples; None: that of the rig's input with this name.
     distortion
         Levels of nonlinear distortion, from a multisine; None: not known.
     """
@@ -65,7 +65,7 @@ class FrequencyResponse:
 
     @property
     def held(self) -> InputHold:
-        """How the input moves between samples."""
+        """Behaviour of the input between samples."""
         return self.hold or HOLDS.get(self.input, "zero")
 
     def select(self, outputs: Sequence[str]) -> FrequencyResponse:
@@ -80,7 +80,7 @@ class FrequencyResponse:
         )
 
     def without_hold(self, delay: float = 0.0) -> FrequencyResponse:
-        """The response with the hold of its input and a known `delay` [s] taken out."""
+        """The response with the effect of the input's hold and of a known `delay` [s] removed."""
         factor = hold_and_delay(self.omega, self.sample_period, HOLDS.get(self.input, "zero"), delay)
         size = np.abs(factor)[:, None]
         return replace(self, response=self.response / factor[:, None], sigma=self.sigma / size, distortion=None)
@@ -89,7 +89,9 @@ class FrequencyResponse:
 def hold_and_delay(
     omega: NDArray[np.float64], sample_period: float, hold: Hold, delay: float = 0.0
 ) -> NDArray[np.complex128]:
-    """(lines,) the factor of hold and delay in a response far below half the sample rate (Franklin et al. 1998, ch. 6).
+    """(lines,) factor of hold and delay in the response, for frequencies far below half the sample rate.
+
+    See Franklin et al. 1998, ch. 6.
 
     Parameters
     ----------
@@ -98,7 +100,7 @@ def hold_and_delay(
     sample_period
         Seconds.
     hold
-        "zero": half a sample late; "first": not late.
+        "zero": a zero-order hold, half a sample of delay; "first": linear interpolation, no delay.
     delay
         Further delay [s].
     """
@@ -110,14 +112,14 @@ def hold_and_delay(
 
 @takes_models
 def sampled_response(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.complex128]:
-    """(lines, model's outputs) response of a continuous model, sampled as a measured one was, hold and delay included.
+    """(lines, model's outputs) response of a continuous model, discretised as the measured one, with hold and delay.
 
     Parameters
     ----------
     model
-        With the input of `measured` among its inputs.
+        Continuous; its inputs include the input of `measured`.
     measured
-        Whose input, lines and sample period are used.
+        Measured response; its input, lines and sample period are used.
     """
     if measured.held == "band":
         return model.select(inputs=[measured.input]).frequency_response(measured.omega)[:, :, 0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How inputs move between samples."""
+"""Behaviour of inputs between samples."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from abrace_core.run import Run
 
 InputHold = Literal["zero", "first", "band"]
-"""Held at a sample's value; linear to the next one; or sampled alike with the outputs, with nothing above half the
-sample rate, so that the response is that of the continuous structure."""
+"""Zero-order hold, linear between samples (first-order hold), or band-limited below half the sample rate and sampled
+like the outputs, so that the response is that of the continuous structure."""
 
 
 def hold_of(run: Run | MeasuredData, name: str) -> InputHold:
-    """Of the input `name` of a test `run`: the rig's own, or that of the data."""
+    """The hold of the input `name` of a test `run`: for a rig by the kind of input, for measured data their `hold`."""
     return run.hold if isinstance(run, MeasuredData) else HOLDS.get(name, "zero")

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Transfer functions by the local polynomial and the local rational method, of one test or of repeated ones.
 
-Lightly damped modes make leakage, not noise, the error that matters in the transfer functions of Figs. 3 to 5; these
-methods model it away. Where a test is so short that a mode is hardly wider than a line, only the rational one does.
+With lightly damped modes leakage, not noise, dominates the error of the transfer functions in Figs. 3 to 5. These
+methods estimate the leakage and remove it. If a test is so short that a mode is hardly wider than a line, only the
+rational method succeeds.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ def local_responses(
     half_width: int,
     poles: Literal[0, 1],
 ) -> tuple[FrequencyResponse, ...]:
-    """One transfer function for each of the inputs that were excited together.
+    """One transfer function for each of the inputs that were excited at once.
 
-    Repeated tests share the response and the noise, each has a transient of its own. Tests of different length are cut
-    into pieces as long as the shortest; what remains at a test's end is not used.
+    Repeated tests share response and noise level; each has its own transient. Tests of different length are cut into
+    pieces as long as the shortest; the remainder at the end of a test is not used.
 
     Parameters
     ----------
@@ -46,9 +47,9 @@ def local_responses(
     band
         Lowest and highest frequency [Hz]; the inputs must be excited throughout.
     order
-        Of the polynomials of the response (the numerator, in the rational method) and of the transient.
+        Order of the polynomials of the response (in the rational method of its numerator) and of the transient.
     half_width
-        Lines on either side; 2 half_width + 1 of them carry the unknowns.
+        Lines on either side of the centre line; the unknowns are estimated from 2 half_width + 1 lines.
     poles
         0: local polynomial method (Schoukens et al. 2009; Pintelon and Schoukens 2012, sec. 7.2); 1: local rational
         method (McKelvey and Guerin 2012), one pole shared by all channels.

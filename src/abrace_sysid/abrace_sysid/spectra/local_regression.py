@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Least squares of the local polynomial and local rational methods, for all frequency lines at once.
 
-About each line of a record's discrete Fourier transform, the response G and the transient (leakage) T in
-Y(k) = G(k) U(k) + T(k) + V(k) are polynomials of the line number over a window of neighbouring lines, found together
-by least squares; the residual is the noise V (Pintelon and Schoukens 2012, ch. 7). A lightly damped mode in a
-short record is narrower than any window: then both are rational, with one pole that all channels share (McKelvey and
-Guerin 2012; A Y = B U + C + A V with A = 1 + a r).
+Each line of a record's discrete Fourier transform obeys Y(k) = G(k) U(k) + T(k) + V(k). Over a window of neighbouring
+lines the response G and the transient (leakage) T are approximated by polynomials of the line number. Both are found
+by least squares; the residual is the noise V (Pintelon and Schoukens 2012, ch. 7). In a short record a lightly damped
+mode is narrower than any window. For this the rational method gives G and T a common pole, shared by all channels
+(McKelvey and Guerin 2012; A Y = B U + C + A V with A = 1 + a r).
 
-The transient's polynomials span the same space in every window: one fixed projection removes them. Several records
-share the response; each has a transient of its own.
+The transient's polynomials span the same space in every window, so one fixed projection removes them. Several records
+share the response; each has its own transient.
 """
 
 from __future__ import annotations
@@ -25,13 +25,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 WINDOWS_AT_ONCE = 128
-"""Windows that are solved together; keeps the work in the cache."""
+"""Number of windows that are solved together; their data fit into the processor's cache."""
 
 WEIGHING_WINDOWS = 256
-"""Windows, evenly spread over the band, that give the channels' noise and so their weights in the shared pole."""
+"""Number of windows, evenly spread over the band, from which the channels' noise, and so their weights, are estimated.
+
+The weights apply to the fit of the shared pole.
+"""
 
 DEPENDENT = 1e-6
-"""Share of an input that is independent of the others, below which it counts as a repetition of them."""
+"""An input is linearly dependent if less than this share of it is independent of the other inputs."""
 
 
 def least_half_width(order: int, inputs: int = 1, records: int = 1) -> int:
@@ -40,9 +43,9 @@ def least_half_width(order: int, inputs: int = 1, records: int = 1) -> int:
     Parameters
     ----------
     order
-        Of the polynomials.
+        Order of the polynomials.
     inputs, records
-        How many.
+        Number of inputs, and of records.
     """
     lines = (order + 1) * (inputs + records) / records
     return int(lines / 2 + 0.5)
@@ -55,20 +58,20 @@ def fit_locally(
     half_width: int,
     poles: Literal[0, 1] = 1,
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Fit the response and the transients about every line.
+    """Fit the response and the transients in a window about every line.
 
     Parameters
     ----------
     excitation
         (records, lines, inputs) consecutive lines of the inputs' transforms.
     outputs
-        (records, lines, channels) of the outputs'.
+        (records, lines, channels) the same lines of the outputs' transforms.
     order
-        Of the polynomials B and C.
+        Order of the polynomials B and C.
     half_width
-        Lines on either side; at the ends of the band the windows are shifted inwards.
+        Lines on either side of the centre line; at the ends of the band the windows are shifted inwards.
     poles
-        0: polynomials; 1: rational, with a pole that the channels share.
+        0: polynomial; 1: rational, with one pole shared by the channels.
 
     Returns
     -------
@@ -102,7 +105,7 @@ def fit_locally(
     for start in range(0, windows, WINDOWS_AT_ONCE):
         stop = min(start + WINDOWS_AT_ONCE, windows)
         solved = grid.solve(np.arange(start, stop), weight)
-        # a window's own line is its middle one; the first and the last window also serve the ends of the band
+        # each window gives the estimate at its middle line; the first and last also give those at the band's ends
         own = np.arange(start + half_width if start else 0, stop + half_width if stop < windows else lines)
         serving = np.clip(own - half_width, 0, windows - 1)
         response[own], sigma[own] = solved.at(serving - start, own - serving)
@@ -110,7 +113,7 @@ def fit_locally(
 
 
 class _Grid:
-    """All windows of a band, and the polynomials that they share."""
+    """All windows of a band, and the polynomials common to them."""
 
     def __init__(
         self, excitation: NDArray[np.complex128], outputs: NDArray[np.complex128], order: int, half_width: int
@@ -119,7 +122,7 @@ class _Grid:
         self.offset = np.linspace(-1, 1, window)
         basis, _ = np.linalg.qr(np.vander(self.offset, order + 1, increasing=True), mode="complete")
         self.powers, self.complement = basis[:, : order + 1], basis[:, order + 1 :].T
-        # an input's window times each polynomial, an output's times 1 and r, both projected off the transient
+        # an input's window times each polynomial, an output's times 1 and r, both with the transient projected out
         self.of_input = np.concatenate(self.complement * self.powers.T[:, None, :])
         self.of_output = np.concatenate([self.complement, self.complement * self.offset])
         # (window, windows, records x inputs or channels)
@@ -128,7 +131,7 @@ class _Grid:
         self.records, self.inputs, self.channels = len(excitation), excitation.shape[2], outputs.shape[2]
 
     def solve(self, starts: NDArray[np.int64], weight: NDArray[np.float64]) -> _Solved:
-        """Least squares in the windows with these first lines; no pole where the channels have no weight."""
+        """Least squares in the windows that begin at the lines `starts`; without a pole if all weights are zero."""
         polynomials, rows = self.powers.shape[1], len(self.complement)
         count, unknowns = len(starts), self.inputs * polynomials
         # (windows, columns, records x rows)
@@ -172,7 +175,7 @@ class _Grid:
 
 @dataclass(frozen=True)
 class _Solved:
-    """Least squares in some windows: R, Q^H [y, r y], the residual of y + a r y, and a."""
+    """Least-squares solution in some windows: R, Q^H [y, r y], the residual of y + a r y, and a."""
 
     grid: _Grid
     triangle: NDArray[np.complex128]
@@ -184,13 +187,13 @@ class _Solved:
 
     @property
     def variance(self) -> NDArray[np.float64]:
-        """(windows, channels) of A V."""
+        """(windows, channels) variance of A V."""
         return np.asarray(np.sum(_square(self.left_over), axis=2) / self.freedom)
 
     def at(
         self, which: NDArray[np.int64], position: NDArray[np.int64]
     ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        """Response and standard deviation (lines, channels, inputs), each at a position within a window.
+        """Response and standard deviation (lines, channels, inputs), each line at a position within its window.
 
         Without a pole, the response is p.T R^-1 Q^H y with p the polynomials' values at the position.
         """

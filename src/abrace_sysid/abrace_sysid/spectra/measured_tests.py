@@ -15,22 +15,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TestData:
-    """All bags of one kind of test, ready to be fitted.
+    """All tests of one input, prepared for fitting.
 
     Parameters
     ----------
     input
         Name of the input that was excited.
     runs
-        The tests, checked, without trends.
+        The tests, checked, with trends removed.
     responses
-        Transfer functions of the channels that respond: one of all tests with noise, or one of each periodic test.
+        Transfer functions of the channels that respond: one from all tests with noise, or one from each periodic test.
     periodic
         Whether the tests were periodic.
     warnings
-        On the tests, one sentence each.
+        About the tests, one sentence each.
     together
-        Names of the inputs that were excited at once, this one among them.
+        Names of all inputs that were excited at once, including this one.
     """
 
     input: str

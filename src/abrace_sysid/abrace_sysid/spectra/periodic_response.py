@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Transfer functions from periodic tests (multisines), with the levels of noise and of nonlinear distortion.
 
-Whole periods of the steady response are transformed together. The response to a periodic input, distortion included,
-is then at every P-th line, where P is the number of periods; the P - 1 lines in between hold noise and what is left of
-the transient. A polynomial through them takes the transient out of the line in their middle, and what is left over is
-noise: the fast local polynomial method (Pintelon and Schoukens 2012, sec. 7.3). Of the lines of the period, those that
-an input excites give its transfer functions, and those that none excites show nonlinear distortion.
+P whole periods of the steady response are transformed together. The response to a periodic input, distortion included,
+then appears only at every P-th line ("lines of the period"). The P - 1 lines in between contain noise and the rest of
+the transient. A polynomial fitted to them removes the transient from the line in their middle, and its residual is the
+noise: the fast local polynomial method (Pintelon and Schoukens 2012, sec. 7.3). The lines of the period that an input
+excites give its transfer functions; those that no input excites show nonlinear distortion.
 
-Lines and samples follow from the input itself: the period is the lag at which it repeats itself, and the test ends
-where it no longer does. That is exact for a command, and safe for an acceleration that was measured.
+Period and length are found from the input: the period is the lag at which the input repeats itself, and the periodic
+part ends where it no longer does. This is exact for a command, and robust for a measured acceleration.
 """
 
 from __future__ import annotations
@@ -31,51 +31,53 @@ if TYPE_CHECKING:
     from abrace_core.run import Run
 
 HALF_WIDTH = 2
-"""Lines of the period on either side up to which the lines in between carry the transient's polynomial."""
+"""The transient's polynomial is fitted to the lines in between up to this many lines of the period on either side."""
 
 ORDER = 4
-"""Of the transient's polynomial at most."""
+"""Greatest order of the transient's polynomial."""
 
 EDGE = 50
-"""Greatest error, in samples, of the ends found of an input's periodic part."""
+"""Greatest error [samples] with which the ends of an input's periodic part are found."""
 
 ALIKE = 0.05
-"""Greatest mean square difference of an input from itself a period later, as a share of its mean square."""
+"""An input repeats itself if its mean square difference from itself a period later is below this share of its mean
+square."""
 
 LEAST_CORRELATION = 0.4
 """Least correlation of an input with itself a period later; two periods between long rests have 0.5."""
 
 SAME = 0.8
-"""Least correlation of two tests' inputs that are the same realization; of other phases it is near 0.1."""
+"""The inputs of two tests are the same realization if their correlation is at least this; with other phases it is near
+0.1."""
 
 LEAST_AMPLITUDE = 0.01
-"""Share of an input's strongest line below which a line counts as not excited."""
+"""A line is excited only if its amplitude is at least this share of the input's strongest line."""
 
 CERTAIN = 5.0
-"""Least amplitude of an excited line, in standard deviations of the noise."""
+"""A line is excited only if its amplitude is at least this many standard deviations of the noise."""
 
 
 @dataclass(frozen=True)
 class PeriodicResponse:
     """The response to one input from a periodic test, with levels of noise and distortion.
 
-    The levels are root mean squares in each channel's unit, of as many lines as the input excites. They include the
-    noise: in a linear test `even_distortion` and `odd_distortion` are as low as `noise`.
+    The levels are rms values in each channel's unit, scaled to the number of lines that the input excites. They include
+    the noise: in a linear test `even_distortion` and `odd_distortion` equal `noise`.
 
     Parameters
     ----------
     frequency_response
-        At the excited lines; the standard deviation is that of the noise.
+        Transfer functions at the excited lines; the standard deviation is that of the noise.
     periods
-        That were used.
+        Number of periods used.
     period_samples
         Samples in a period.
     level
-        (channels,) of the response at the excited lines.
+        (channels,) level of the response at the excited lines.
     noise
-        (channels,) of the noise at a line of the period.
+        (channels,) level of the noise at the lines of the period.
     even_distortion, odd_distortion
-        (channels,) of the even and the odd lines that no input excites; NaN where there is none.
+        (channels,) levels at the even and the odd lines that no input excites; NaN if there is no such line.
     """
 
     frequency_response: FrequencyResponse
@@ -145,7 +147,7 @@ def periodic_response(
 
     excitation, outputs = steady[excited, :1], steady[excited, count:]
     response = outputs / excitation
-    # the error of a line is that of the outputs less the response to the error of the measured input
+    # the response's error is that of the outputs minus the response to the measured input's error
     errors = left_over[excited][:, :, count:] - response[:, None] * left_over[excited][:, :, :1]
     sigma = np.sqrt(np.mean(np.abs(errors) ** 2, axis=1)) * uncertainty / np.abs(excitation)
     unexcited = ~exciting.any(axis=1)
@@ -172,14 +174,14 @@ def periodic_response(
 
 
 def find_period(excitation: NDArray[np.float64]) -> int | None:
-    """The samples after which a signal repeats itself, or None.
+    """The period [samples] of a signal, or None if it is not periodic.
 
-    It is the lag at which the correlation of the signal with itself, after it has first fallen below zero, is greatest.
+    The period is the lag of the greatest autocorrelation beyond the first lag at which it is negative.
 
     Parameters
     ----------
     excitation
-        (samples,) of mean zero, rest before and after included.
+        (samples,) of mean zero; may begin and end with rest.
     """
     length = fft.next_fast_len(2 * len(excitation), real=True)
     correlation = fft.irfft(np.abs(fft.rfft(excitation, length)) ** 2, length)[: len(excitation)]
@@ -191,7 +193,7 @@ def find_period(excitation: NDArray[np.float64]) -> int | None:
 
 
 def same_realization(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
-    """Whether two tests' inputs are the same signal, begun at any time and of any level.
+    """Whether two tests' inputs are the same signal, apart from level and time of beginning.
 
     Parameters
     ----------
@@ -208,7 +210,7 @@ def same_realization(one: NDArray[np.float64], other: NDArray[np.float64]) -> bo
 def _whole_periods(
     source: str, names: tuple[str, ...], inputs: NDArray[np.float64], period_samples: int | None, dropped: int
 ) -> tuple[int, int, int, list[bool]]:
-    """Samples in a period, periods to use, the sample after them, and which inputs repeat themselves."""
+    """Samples in a period, number of periods to use, the sample after the last, and which inputs are periodic."""
     flattened = signal.detrend(inputs, axis=0)
     if period_samples is None:
         period_samples = max(find_period(excitation) or 0 for excitation in flattened.T)
@@ -227,7 +229,7 @@ def _whole_periods(
 
 
 def _repeats(excitation: NDArray[np.float64], period: int) -> bool:
-    """Whether a signal, rest before and after included, repeats itself for at least two periods."""
+    """Whether a signal repeats itself for at least two periods; it may begin and end with rest."""
     if not 0 < period < len(excitation):
         return False
     before, after = excitation[:-period], excitation[period:]
@@ -235,7 +237,7 @@ def _repeats(excitation: NDArray[np.float64], period: int) -> bool:
 
 
 def _periodic_part(inputs: NDArray[np.float64], period: int) -> tuple[int, int]:
-    """First sample, and the one after the last, of the part in which all inputs (samples, inputs) repeat themselves."""
+    """First sample, and the one after the last, of the part in which all inputs (samples, inputs) are periodic."""
     first, last = 0, len(inputs)
     for excitation in inputs.T:
         before, after = excitation[:-period], excitation[period:]
@@ -243,7 +245,7 @@ def _periodic_part(inputs: NDArray[np.float64], period: int) -> tuple[int, int]:
         parts, count = ndimage.label(difference < ALIKE * (before @ before) / len(before))
         if not count:
             return 0, 0
-        # at rest an input repeats itself as well, but is zero
+        # rest is periodic as well, but its power is zero
         moves = ndimage.sum_labels(before * after, parts, np.arange(1, count + 1))
         (part,) = ndimage.find_objects(parts)[int(np.argmax(moves))]
         first, last = max(first, part.start), min(last, part.stop + period)
@@ -253,7 +255,7 @@ def _periodic_part(inputs: NDArray[np.float64], period: int) -> tuple[int, int]:
 def _without_transient(
     spectra: NDArray[np.complex128], lines: NDArray[np.int64], periods: int
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], float]:
-    """Steady spectra at lines of the period, residuals of the lines in between, and the factor from these to the error.
+    """Steady spectra at the lines of the period, residuals at the lines in between, and the factor from these to error.
 
     Shapes (lines, channels) and (lines, lines in between, channels).
     """

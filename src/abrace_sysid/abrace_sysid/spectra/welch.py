@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Transfer functions by Welch's method: averages over overlapping windowed segments (Bendat and Piersol 2010, ch. 6).
 
-The usual "FFT technique", for comparison. Its segments are shorter than the record, so that its error is leakage at
-lightly damped modes, not noise.
+This is the usual "FFT technique", included for comparison. Its segments are shorter than the record, so that its
+dominant error is leakage at lightly damped modes, not noise.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ def welch(
     run
         The test, or repeated ones, of any length: all their segments are averaged.
     input_name
-        The input that was excited. Another that is excited with it, uncorrelated, counts as noise.
+        The input that was excited. The effect of another, uncorrelated input excited at the same time counts as noise.
     band
         Lowest and highest frequency [Hz].
     segment
         Samples in each averaged segment.
     estimator
-        "H1": noise in the outputs; "H2": in the input; "Hv": in both, the geometric mean.
+        "H1": for noise in the outputs; "H2": for noise in the input; "Hv": for both, the geometric mean of H1 and H2.
     window
-        A name that scipy.signal.get_window knows.
+        Name of a window of scipy.signal.get_window.
     overlap
-        Of neighbouring segments, 0 to less than 1.
+        Share by which neighbouring segments overlap, from 0 to less than 1.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def welch(
 def coherence_of(
     run: Run | MeasuredData, input_name: str, band: tuple[float, float], segment: int
 ) -> tuple[NDArray[np.float64], float]:
-    """(lines, channels) coherence of a test's outputs with an input, Hann window and half overlap, and the averages.
+    """(lines, channels) coherence of outputs with an input (Hann window, overlap 1/2), and the number of averages.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def _averaged(
     taper: NDArray[np.float64],
     step: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64], float]:
-    """Sums of the input's power (lines, 1), the cross spectra and the outputs' powers (lines, channels); averages."""
+    """Sums of input power (lines, 1), cross spectra and output powers (lines, channels), and the number of averages."""
     segment, averages = len(taper), 0.0
     power = np.zeros((len(lines), 1))
     outputs = np.zeros((len(lines), len(runs[0].names)))
@@ -145,7 +145,7 @@ def _coherence(
 
 
 def _independent(segments: int, taper: NDArray[np.float64], step: int) -> float:
-    """How many independent segments overlapping ones are worth (Welch 1967)."""
+    """Equivalent number of independent segments of overlapping ones (Welch 1967)."""
     correlation = [
         (1 - apart / segments) * (taper[: -apart * step] @ taper[apart * step :] / (taper @ taper)) ** 2
         for apart in range(1, min(segments, -(-len(taper) // step)))
