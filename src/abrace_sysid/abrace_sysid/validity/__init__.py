@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded tests and the model identified from them to findings: what can be trusted, what not, and why."""
+"""Checks of recorded tests and of the model identified from them: what can be trusted, what not, and why."""

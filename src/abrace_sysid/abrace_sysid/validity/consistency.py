@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether two estimates of the same modes agree: Wald's test, mode by mode."""
+"""Agreement of two estimates of the same modes: Wald's test, mode by mode."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ if TYPE_CHECKING:
     from abrace_sysid.spectra.measured_tests import TestData
 
 SAME = 0.1
-"""Greatest relative difference of two frequencies that can be those of one mode."""
+"""Two frequencies can belong to the same mode if their relative difference is at most this."""
 
 LEAST_SECONDS = 30.0
-"""Shorter pieces are not fitted."""
+"""Pieces of a test shorter than this are not fitted."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Of one mode in two estimates.
+    """The difference of one mode between two estimates.
 
     Parameters
     ----------
     frequency
-        Of the first [rad/s].
+        Frequency in the first estimate [rad/s].
     frequency_change, damping_change
-        Of the second against the first, as shares.
+        Relative change from the first estimate to the second.
     probability
-        That noise alone makes them differ as much (chi-square, two degrees of freedom).
+        Probability that noise alone causes such a difference (chi-square, two degrees of freedom).
     """
 
     frequency: float
@@ -51,12 +51,12 @@ class Difference:
 
 
 def differences(one: Sequence[PoleInterval], other: Sequence[PoleInterval]) -> list[Difference]:
-    """Of the modes that two independent estimates have in common.
+    """The differences of the modes that two independent estimates have in common.
 
     Parameters
     ----------
     one, other
-        Pairs with their deviations.
+        Pole pairs with their standard deviations.
     """
     found = []
     for pair in one:
@@ -81,14 +81,14 @@ def differences(one: Sequence[PoleInterval], other: Sequence[PoleInterval]) -> l
 
 
 def pieces_of(data: TestData, poles: NDArray[np.complex128]) -> list[tuple[str, tuple[PoleInterval, ...]]]:
-    """The modes of each of the repeated tests, or of both halves of the only one; each with its name.
+    """The modes of each repeated test, or of both halves of a single test, with the name of the test or half.
 
     Parameters
     ----------
     data
         Tests with noise.
     poles
-        The poles of all of them together, to start from: of each pair the one above the real axis, and real ones.
+        Poles of all tests together, as initial values: the real ones, and of each pair the one above the real axis.
     """
     runs = [(run.source, run) for run in data.runs]
     if len(runs) == 1:

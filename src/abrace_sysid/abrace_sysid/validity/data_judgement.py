@@ -25,16 +25,16 @@ RIG_ALONE = "sensors agree, friction, backlash, lag of the servo"
 
 
 def judge_data(data: MeasuredData, found: DataIdentification, held_out: MeasuredData) -> Judgement:
-    """Say how far a model of measured data can be trusted, and why.
+    """Judge how far a model of measured data can be trusted, and why.
 
     Parameters
     ----------
     data
-        What was identified from, as it was measured.
+        The data that the identification used, as measured.
     found
         The identification.
     held_out
-        The rest of the record, not used; without samples nothing is predicted.
+        The part of the record that was not used; if empty, the check "prediction" is not made.
     """
     dead = dead_channels(data, data.inputs, found.band)
     findings = sensor_findings.dead(data, data.inputs, dead)
@@ -54,7 +54,7 @@ def judge_data(data: MeasuredData, found: DataIdentification, held_out: Measured
 
 
 def _predicted(found: DataIdentification, held_out: MeasuredData, residual: Residual) -> Finding:
-    """Of the rest of the record, the level of noise being that of the part that was used."""
+    """The finding on the prediction of the part held out, with the noise level of the part used."""
     missed = 1 - variance_accounted_for(found.model, held_out)
     noise = residual.noise[0] / np.var(held_out.channels(found.model.outputs), axis=0)
     errors = np.sqrt(np.maximum(missed - noise, 0))

@@ -17,7 +17,7 @@ class Verdict(IntEnum):
 
     @property
     def words(self) -> str:
-        """As it is shown and written."""
+        """The verdict as text, in files and on the terminal."""
         return ("trust", "trust with care", "don't trust")[self]
 
 
@@ -32,17 +32,17 @@ class Finding:
     where
         Channel, storey or mode, and the test.
     value, limit
-        What was found, and from which value on the model is to be used with care; in `unit`.
+        The value found, and the value above which the model is to be used with care; in `unit`.
     unit
-        Empty for ratios.
+        Unit of both; empty for ratios.
     verdict
-        What follows.
+        Verdict on the model from this check alone.
     cause
-        The suspected fault by name; empty where there is none.
+        Name of the suspected fault; empty if there is none.
     meaning
-        What was found, a sentence.
+        What was found, as a sentence.
     advice
-        What to do, a sentence; empty where nothing needs to be done.
+        What to do, as a sentence; empty if nothing needs to be done.
     """
 
     check: str
@@ -68,9 +68,9 @@ class Validity:
     Parameters
     ----------
     findings
-        Of every check that could be made.
+        The findings of all checks that could be made.
     not_checked
-        By check, why it could not be made.
+        The checks that could not be made, with the reason.
     """
 
     findings: tuple[Finding, ...]
@@ -78,12 +78,12 @@ class Validity:
 
     @property
     def verdict(self) -> Verdict:
-        """The worst of all findings."""
+        """The verdict of the worst finding."""
         return max((finding.verdict for finding in self.findings), default=Verdict.TRUST)
 
     @property
     def reasons(self) -> tuple[Finding, ...]:
-        """The findings that speak against the model, the worst first."""
+        """The findings beyond their limits, the worst verdict first."""
         found = [finding for finding in self.findings if finding.verdict]
         return tuple(sorted(found, key=lambda finding: (-finding.verdict, not finding.cause)))
 
@@ -108,7 +108,7 @@ class Validity:
         return tuple(dict.fromkeys(reason.advice for reason in self.reasons if reason.advice))
 
     def text(self) -> str:
-        """A few lines for a terminal: the verdict, what speaks against the model, and what to do."""
+        """A few lines for a terminal: the verdict, the findings beyond their limits, and what to do."""
         lines = [f"validity: {self.verdict.words}" + (f" ({', '.join(self.causes)})" if self.causes else "")]
         lines += [f"  {reason.meaning}" for reason in self.reasons if reason.advice]
         follows = [reason.meaning for reason in self.reasons if not reason.advice]
@@ -119,7 +119,7 @@ class Validity:
 
 
 def judged(value: float, care: float, dont: float | None = None) -> Verdict:
-    """The verdict of a `value`: with `care` beyond one limit, and not to be trusted beyond `dont`, if that is given."""
+    """The verdict on a `value`: "trust with care" above `care`, and "don't trust" above `dont`, if that is given."""
     if dont is not None and value > dont:
         return Verdict.DONT
     return Verdict.CARE if value > care else Verdict.TRUST

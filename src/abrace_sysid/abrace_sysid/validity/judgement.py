@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All checks on one identification: from the tests, and from the model if there is one, to the findings."""
+"""All checks on one identification: of the tests, and of the model if there is one."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ if TYPE_CHECKING:
     from abrace_sysid.spectra.measured_tests import TestData
 
 FITTING = 0.5
-"""Progress of an identification from which on its tests and options have been accepted."""
+"""Fraction of the progress at which an identification has accepted its tests and options."""
 
 BLOWS = "af"
-"""First letters of channels in which the blows of loose pins look like spikes."""
+"""First letters of channels (accelerations, forces) in which impacts of loose pins look like spikes."""
 
 LEAVE_RESIDUALS = ("saturation", "friction", "backlash")
-"""Faults that leave a residual which no linear model explains."""
+"""Faults that cause a residual which no linear model explains."""
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """Findings, and the residuals that a figure shows beside them.
+    """The findings on an identification, and the residuals for the figure.
 
     Parameters
     ----------
     validity
         The findings.
     residuals
-        Of each test; none where there is no model.
+        The residual of each test; empty if there is no model.
     """
 
     validity: Validity
@@ -60,16 +60,16 @@ def judge(
     found: Identification | None,
     failure: str = "",
 ) -> Judgement:
-    """Say how far an identification can be trusted, and why.
+    """Judge how far an identification can be trusted, and why.
 
     Parameters
     ----------
     table, command
-        The tests as they were recorded.
+        The table tests and the command tests, as recorded.
     options
-        Those of the identification.
+        Options of the identification.
     found
-        What was identified; None where that failed.
+        The identification; None if it failed.
     failure
         Why it failed.
     """
@@ -100,7 +100,7 @@ def judge(
 
 
 def _short_names(sources: Sequence[str]) -> dict[str, str]:
-    """The last parts of paths, where they tell the tests apart; the longest path first."""
+    """The last parts of the tests' paths, if these are distinct; the longest path first."""
     short = {source: source.rstrip("/").rpartition("/")[2] for source in sorted(set(sources), key=len, reverse=True)}
     return short if len(set(short.values())) == len(short) else {}
 
@@ -108,7 +108,9 @@ def _short_names(sources: Sequence[str]) -> dict[str, str]:
 def judge_failure(
     table: Sequence[Run], command: Sequence[Run], options: IdentificationOptions, error: AbraceError, progress: float
 ) -> Judgement | None:
-    """What can be said where identification failed; None where tests or options were wrong and nothing was measured so.
+    """Judge the tests of an identification that failed.
+
+    None if it failed because of wrong options or tests, and no finding on the measurements explains the failure.
 
     Parameters
     ----------
@@ -117,7 +119,7 @@ def judge_failure(
     error
         Why it failed.
     progress
-        How far it had come.
+        Fraction of the identification that was done.
     """
     if any(all(len(run.outputs) * run.sample_period < LEAST_SECONDS for run in tests) for tests in (table, command)):
         return None
@@ -165,7 +167,7 @@ def _of_tests(
 
 
 def _whole(run: Run) -> Run:
-    """The longest whole piece of a test, all of it finite."""
+    """The longest piece of a test without a gap; an error if a value in it is not finite."""
     whole = longest_piece(run)[0]
     names = (*whole.names, signals.GROUND, *whole.command_names)
     bad = [name for name in names if not np.isfinite(whole.channels([name])).all()]
@@ -201,7 +203,7 @@ def _of_model(
     top = 2 * np.pi * options.table_band[1]
     findings += model_findings.repeated(found.table, estimate.poles[np.abs(estimate.poles) < top], cause, building)
     for data in found.commands:
-        # a lag of another servo does nothing here
+        # the lag poles of other servos have no effect in these tests
         driven = estimate.drive[:, estimate.inputs.index(data.input)] != 0
         findings += model_findings.repeated(data, estimate.poles[driven], cause, building)
         highest, force = float(data.responses[0].omega[-1]), data.input.replace("U", "f")
@@ -214,7 +216,7 @@ def _of_model(
 
 
 def _residuals(found: Identification, data: TestData) -> list[Residual]:
-    """Of each run of one kind of test."""
+    """The residuals of each test of one input."""
     if data.periodic:
         both = zip(data.responses, data.runs, strict=True)
         return [residual_of_response(response, found.model, run.source) for response, run in both]

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors that contradict each other: swapped, in another unit, reversed or late.
+"""Detection of sensors that contradict each other: swapped, in a wrong unit, with a wrong sign, or late.
 
-No model is needed. Absolute acceleration less the table's is the second derivative of a floor's displacement:
+No model is needed. Absolute acceleration minus the table's is the second derivative of a floor's displacement:
 
     a_i - w = x_i'',
 
 a brace's stroke is the drift that it spans times its cosine, and its force follows its command. In the first mode all
-floors move to one side, the higher ones further. Where that does not hold, the tests' channels are taken for swapped
-or in another unit, one change after the other, and what makes them agree is the finding.
+floors move in phase, the higher ones further. If this does not hold, possible faults are tried one after the other:
+channels swapped, in another unit, or reversed. The finding is the fault whose correction makes the channels agree.
 """
 
 from __future__ import annotations
@@ -40,48 +40,50 @@ UNITS: dict[str, dict[str, float]] = {
     "x": {"mm": 1000.0, "cm": 100.0, "in": 39.3701, "um": 1e6},
     "f": {"kgf": 1 / 9.80665, "kN": 1e-3, "lbf": 0.2248089, "tf": 1e-3 / 9.80665},
 }
-"""By the letter of a channel: units in which its readings may be, over those that are expected."""
+"""For each kind of channel (first letter): other usual units, as multiples of the expected unit."""
 
 CONTRADICTION = 0.02
-"""Share of a channel's power, noise subtracted, that contradicts the others, from which on it is looked into. A rig as
-it is, with transducers of different bandwidths, has 0.0004; impacts of loose pins, which accelerometers feel, 0.006."""
+"""A cause is searched if more than this share of a channel's power, noise subtracted, contradicts the others.
+
+With transducers of different bandwidths it is 0.0004; impacts of loose pins, which accelerometers measure, give 0.006.
+"""
 
 IMPROVEMENT = 0.5
-"""Share of all contradictions that one change has to explain."""
+"""A change is accepted if it removes more than this share of all contradictions."""
 
 LOOSE = 0.2
-"""Share of a stroke's power that need not follow from the floors': backlash of 0.5 mm leaves 0.04."""
+"""This share of a stroke's power need not follow from the floors' displacements; backlash of 0.5 mm causes 0.04."""
 
 COSINES = (0.2, 1.1)
-"""What a stroke over a drift can be."""
+"""Possible ratios of stroke to drift."""
 
 SERVO = (0.4, 1.6)
-"""What a brace's force over its command can be."""
+"""Possible ratios of a brace's force to its command."""
 
 UNKNOWN_UNIT = 0.001
-"""What a factor that is no unit's counts as a contradiction of its own, so that a usual unit comes first."""
+"""Penalty, as a contradiction, for a factor that belongs to no usual unit, so that usual units are preferred."""
 
 EXCITED = 100.0
-"""Power of the table's motion over that of its sensor's noise, from which on its lag can be determined."""
+"""The lag of the table's accelerometer is determined if its signal power exceeds its noise power by this factor."""
 
 MOST = 3
-"""Greatest number of faults that are searched in one test."""
+"""Greatest number of faults searched in one test."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """One change that makes the channels agree.
+    """A fault of channels, which can be corrected.
 
     Parameters
     ----------
     kind
         "swapped", "unit" or "reversed".
     channels
-        The two that are swapped, or the one.
+        The two channels that are swapped, or the one that is wrong.
     factor
-        What the readings are too large by; 1 of swapped ones.
+        Factor by which the readings are too large; 1 for swapped channels.
     unit
-        By that factor, if it is one.
+        The unit that explains the factor; empty if no usual unit does.
     """
 
     kind: str
@@ -90,7 +92,7 @@ class Change:
     unit: str = ""
 
     def applied(self, motion: Motion) -> Motion:
-        """The test as it would be without this fault in its `motion`."""
+        """The test `motion` with this fault corrected."""
         spectra, noise = motion.spectra, motion.noise
         if self.kind == "swapped":
             one, other = self.channels
@@ -103,19 +105,18 @@ class Change:
 
 @dataclass(frozen=True)
 class Kinematics:
-    """What the sensors of one test say of each other.
+    """The agreement of the sensors of one test.
 
     Parameters
     ----------
     contradictions
-        By channel the share of its power that contradicts the others, 0 to 1.
+        Share of each channel's power that contradicts the others, 0 to 1.
     changes
-        What makes them agree.
+        The faults whose correction makes the channels agree.
     left
-        The contradictions that then remain.
+        The contradictions that remain after correction.
     lags
-        By channel, seconds by which the accelerometer of a floor, or of the table, is later than the displacement
-        sensors.
+        Seconds by which each accelerometer, of a floor or of the table, is later than the displacement sensors.
     """
 
     contradictions: Mapping[str, float]
@@ -153,7 +154,7 @@ def kinematics(motion: Motion, band: tuple[float, float]) -> Kinematics:
 
 
 def contradictions(motion: Motion, lines: NDArray[np.int64]) -> dict[str, float]:
-    """By channel the share of its power that contradicts the others, 0 to 1; 1 where its sign or size is impossible.
+    """Share of each channel's power that contradicts the others, 0 to 1; 1 if its sign or size is impossible.
 
     Parameters
     ----------
@@ -168,7 +169,7 @@ def contradictions(motion: Motion, lines: NDArray[np.int64]) -> dict[str, float]
 def _relative(
     motion: Motion, floor: int, lines: NDArray[np.int64]
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.float64]] | None:
-    """a - w and x'' of a floor, and the lines' weights."""
+    """The spectra of a - w and x'' of a floor, and the weights of the lines."""
     x, a, w = (motion.spectra.get(name) for name in (f"x{floor}", f"a{floor}", signals.GROUND))
     if x is None or a is None or w is None:
         return None
@@ -185,13 +186,13 @@ def _of_floors(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str, 
         if both is not None:
             one, other, weight = both
             size = np.sum(np.abs(weight * one) ** 2) + np.sum(np.abs(weight * other) ** 2)
-            # each line's noise counts as one
+            # the weights make the expected noise power of each line 1
             different = np.sum(np.abs(weight * (one - other)) ** 2) - len(lines)
             yield f"a{floor}, x{floor}", float(np.clip(different / size, 0, 1))
 
 
 def _of_heights(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str, float]]:
-    """Displacements, and accelerations, that do not grow with height in the first mode."""
+    """The shares of displacements and of accelerations that do not grow with height in the first mode."""
     for letter in "xa":
         names = [f"{letter}{floor}" for floor in range(1, motion.floors + 1) if f"{letter}{floor}" in motion.spectra]
         w = motion.spectra.get(signals.GROUND)
@@ -219,7 +220,7 @@ def _of_braces(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str, 
             share, coefficients = _explained(
                 motion.spectra[stroke][lines], [motion.spectra[n][lines] for n in floors], omega
             )
-            # of the two floors that a brace spans the upper one has the sign of its stroke
+            # the stroke has the sign of the displacement of the upper of the two floors that the brace spans
             upper = np.flatnonzero(np.abs(coefficients) > 0.5 * np.abs(coefficients).max())[-1]
             possible = COSINES[0] < coefficients[upper] < COSINES[1]
             yield stroke, 0.0 if possible and share > 1 - LOOSE else 1.0
@@ -232,7 +233,7 @@ def _of_braces(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str, 
 def _explained(
     spectrum: NDArray[np.complex128], by: Sequence[NDArray[np.complex128]], omega: NDArray[np.float64]
 ) -> tuple[float, NDArray[np.float64]]:
-    """Share of a spectrum's power that others explain, and their real coefficients."""
+    """Share of a spectrum's power that a real linear combination of others explains, and the coefficients."""
     columns = np.column_stack([*by, *(1j * omega * one for one in by), leakage(omega)])
     both, values = np.vstack([columns.real, columns.imag]), np.concatenate([spectrum.real, spectrum.imag])
     scale = np.linalg.norm(both, axis=0)
@@ -256,7 +257,7 @@ def _candidates(motion: Motion, lines: NDArray[np.int64]) -> Iterator[Change]:
 
 
 def _doubt(change: Change, motion: Motion, lines: NDArray[np.int64]) -> float:
-    """What speaks against a unit apart from contradictions: it is no usual one, or not quite the factor measured."""
+    """Penalty of a change of unit: the unit is not a usual one, or differs from the measured factor."""
     if change.kind != "unit":
         return 0.0
     measured = _factor(motion, change.channels[0], lines)
@@ -265,7 +266,7 @@ def _doubt(change: Change, motion: Motion, lines: NDArray[np.int64]) -> float:
 
 
 def _factor(motion: Motion, name: str, lines: NDArray[np.int64]) -> float | None:
-    """What the readings of a floor's sensor are too large by, from the floor's other one."""
+    """The factor by which a floor's sensor reads too much, from the floor's other sensor."""
     if name[0] not in "xa" or name.startswith("xf"):
         return None
     both = _relative(motion, int(name[1:]), lines)
@@ -281,7 +282,7 @@ def _factor(motion: Motion, name: str, lines: NDArray[np.int64]) -> float | None
 
 
 def _lags(motion: Motion, lines: NDArray[np.int64]) -> dict[str, float]:
-    """By channel: a late reading is (1 - i w lag) times the one in time, to first order."""
+    """Lags by channel: to first order a late reading is (1 - i w lag) times the true one."""
     found: dict[str, float] = {}
     ground: list[float] = []
     omega = motion.omega[lines]

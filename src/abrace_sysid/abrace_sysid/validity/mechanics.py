@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction of storeys and backlash of braces, from the equations that every floor and every brace obeys.
+"""Estimation of storey friction and brace backlash from the equations of motion of floors and braces.
 
-No model is needed. The acceleration of a floor, read as it is, follows from what the sensors read of the forces on it:
+No model is needed. The measured absolute acceleration of a floor follows from the forces on it:
 
     a_i = - sum over j of (k_ij x_j + c_ij x_j') + sum of the braces' b f_g - (F_i s_i - F_(i+1) s_(i+1)) / m_i,
 
-with the sign s_i of storey i's drift velocity. Stiffness, damping and the braces' share are fitted with the friction in
-one linear regression over the lines below the band's end. Of a normally distributed motion what its sign adds to the
-motion is uncorrelated with whatever linear dynamics the equation has left out (Bussgang 1952): a linear rig shows none.
-Likewise a stroke follows from the floors' displacements but for the clearance of the pins, which the rod crosses when
-the force changes sign. Newtons come from the load cells: a brace's force, its cosine (stroke over drift) and its share
-in a floor's acceleration give that floor's mass, the symmetry of the stiffness those of the others.
+with the sign s_i of storey i's drift velocity. Stiffness, damping, the braces' coefficients b and the friction F are
+fitted in one linear regression over the lines below the band's end. For normally distributed motion the part of its
+sign that is not proportional to the motion is uncorrelated with any linear dynamics that the equation omits (Bussgang
+1952). So a linear rig shows no friction.
+
+Likewise a stroke follows from the floors' displacements, except for the clearance of the pins, which the rod crosses
+when the force changes sign. The load cells give friction in newtons: a brace's force, its cosine (stroke over drift)
+and its coefficient in a floor's equation give that floor's mass; the symmetry of the stiffness gives the other masses.
 """
 
 from __future__ import annotations
@@ -32,13 +34,13 @@ if TYPE_CHECKING:
     from abrace_sysid.validity.motion import Motion
 
 FASTEST = 1.5
-"""Highest frequency, as a share of the band's end, of the drifts whose sign is taken."""
+"""Cut-off frequency of the drifts whose sign is used, as a multiple of the band's end."""
 
 FASTEST_FORCE = 3.0
-"""Likewise of the forces."""
+"""Cut-off frequency of the forces whose sign is used, as a multiple of the band's end."""
 
 LEAST_T = 10.0
-"""Deviations that the brace's force must be away from zero in a floor's equation to give its mass."""
+"""A floor's equation gives its mass if the brace force's coefficient exceeds this many standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -48,15 +50,16 @@ class StoreyFriction:
     Parameters
     ----------
     storey
-        1 the lowest.
+        Number of the storey, 1 is the lowest.
     acceleration, deviation
-        Force over the mass of the floor above, positive where it opposes the drift, and its standard deviation [m/s^2].
+        Friction force over the mass of the floor above, positive if it opposes the drift velocity, and its standard
+        deviation [m/s^2].
     opposite
-        The same from the equation of the floor below, in its deviations; positive where it agrees. NaN of storey 1.
+        The same from the equation of the floor below, in standard deviations; positive if it agrees. NaN for storey 1.
     force
-        [N]; NaN where no load cell gives the masses.
+        Friction force [N]; NaN if no load cell gives the masses.
     damping
-        What it adds to the damping ratio at the test's amplitude: that of a storey whose every cycle loses as much.
+        Equivalent viscous damping ratio of the storey (same energy loss in a cycle) at the test's amplitude.
     """
 
     storey: int
@@ -74,13 +77,13 @@ class Backlash:
     Parameters
     ----------
     group, stroke
-        1 the first, and the name of its stroke.
+        Number of the brace group, from 1, and the name of its stroke.
     clearance, deviation
-        From side to side, and its standard deviation [m].
+        Total clearance, from side to side, and its standard deviation [m].
     share
-        Half of it over the stroke's rms.
+        Half the clearance over the stroke's rms.
     lag
-        By which the stroke's sensor is later than the floors' [s].
+        Time by which the stroke's sensor is later than the floors' sensors [s].
     """
 
     group: int
@@ -93,7 +96,7 @@ class Backlash:
 
 @dataclass(frozen=True)
 class _Floor:
-    """The equation of one floor: coefficients of displacements, forces and signs, with deviations."""
+    """The fitted equation of one floor: coefficients of displacements, forces and signs, with standard deviations."""
 
     stiffness: NDArray[np.float64]
     force: NDArray[np.float64]
@@ -104,7 +107,7 @@ class _Floor:
 
 @dataclass(frozen=True)
 class _Balance:
-    """The equations of a test's floors, by number, and their displacements, lowest first."""
+    """The fitted equations of the floors in one test, by number, and the floors' displacements, lowest first."""
 
     motion: Motion
     band: tuple[float, float]
@@ -113,7 +116,7 @@ class _Balance:
 
     @classmethod
     def of(cls, motion: Motion, band: tuple[float, float]) -> _Balance | None:
-        """None where a floor has neither a displacement nor an acceleration."""
+        """Fit the floors' equations in a test; None if a floor has neither a displacement nor an acceleration."""
         numbers = range(1, motion.floors + 1)
         displacements = [one for number in numbers if (one := motion.displacement(number)) is not None]
         if len(displacements) < motion.floors:
@@ -132,7 +135,7 @@ class _Balance:
 
     @property
     def surest(self) -> float:
-        """Deviations that a brace's force is away from zero in a floor's equation, at most; 0 without load cells."""
+        """Greatest brace force coefficient of all floors, in standard deviations; 0 without load cells."""
         return max(
             (float(np.max(np.abs(one.force) / one.force_deviation, initial=0)) for one in self.floors.values()),
             default=0.0,
@@ -140,15 +143,15 @@ class _Balance:
 
 
 def storey_frictions(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[tuple[str, StoreyFriction]]:
-    """The friction of every storey in every test, with the test's name; none where its sensors are too few.
+    """The friction of every storey in every test, with the test's name; tests that lack sensors are left out.
 
     Parameters
     ----------
     tests
-        Each with the band [Hz] in which its floors' equations are fitted.
+        Each test with the band [Hz] in which its floors' equations are fitted.
     """
     balances = [balance for motion, band in tests if (balance := _Balance.of(motion, band)) is not None]
-    # small forces are lost in their noise: the masses are those of the test that shows them best
+    # in some tests the braces' forces are below their noise: use the masses of the test that determines them best
     masses = _masses(max(balances, key=lambda balance: balance.surest)) if balances else {}
     return [
         (balance.motion.source, _friction(balance, storey, masses)) for balance in balances for storey in balance.floors
@@ -156,12 +159,12 @@ def storey_frictions(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> lis
 
 
 def floor_masses(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> dict[int, float]:
-    """Masses [kg] of floors by number, from the test that shows the braces' forces best; none without load cells.
+    """Masses [kg] of floors by number, from the test that determines them best; empty without load cells.
 
     Parameters
     ----------
     tests
-        As of `storey_frictions`.
+        As in `storey_frictions`.
     """
     balances = [balance for motion, band in tests if (balance := _Balance.of(motion, band)) is not None]
     return _masses(max(balances, key=lambda balance: balance.surest)) if balances else {}
@@ -180,7 +183,7 @@ def _equation(
     linear = [one[lines] for one in (*displacements, *forces)]
     columns = [*linear, *(1j * omega * one for one in linear), *(-(omega**2) * one[lines] for one in forces)]
     columns += [one[lines] for one in signs]
-    # drive and rest: an equation without a force that is zero throughout
+    # leave out forces that are zero throughout
     moving = [k for k, column in enumerate(columns) if np.any(column)]
     stacked = np.column_stack([*(columns[k] for k in moving), leakage(omega)])
     coefficients, deviations = np.zeros(len(columns)), np.full(len(columns), np.inf)
@@ -197,7 +200,7 @@ def _equation(
 
 
 def _masses(balance: _Balance) -> dict[int, float]:
-    """Masses [kg] of floors by number: of the one that a brace acts on most, then of its neighbours."""
+    """Masses [kg] of floors by number: first of the floor on which a brace acts most, then of its neighbours."""
     motion, floors = balance.motion, balance.floors
     if any(len(one.force) < motion.groups for one in floors.values()):
         return {}
@@ -207,7 +210,7 @@ def _masses(balance: _Balance) -> dict[int, float]:
         for number, floor in floors.items():
             share, deviation = abs(floor.force[group]), floor.force_deviation[group]
             if cosine and share > LEAST_T * deviation:
-                # what local modes make of a far brace's force is smaller than the force
+                # coefficients of a distant brace, due to local modes, are smaller and would give a greater mass
                 masses[number] = min(count * cosine / share, masses.get(number, np.inf))
     if not masses:
         return {}
@@ -223,7 +226,7 @@ def _masses(balance: _Balance) -> dict[int, float]:
 
 
 def _cosine(balance: _Balance, group: int) -> float | None:
-    """Of a group's braces: their stroke over the drift that they span."""
+    """The cosine of a group's braces: their stroke over the drift that they span."""
     motion = balance.motion
     stroke = motion.spectra.get(signals.numbered("xf", motion.groups)[group])
     if stroke is None:
@@ -252,16 +255,16 @@ def _friction(balance: _Balance, storey: int, masses: dict[int, float]) -> Store
 
 
 def backlashes(motion: Motion, band: tuple[float, float]) -> tuple[Backlash, ...]:
-    """The clearance of each brace group's pins, of those whose stroke and load cells answer.
+    """The clearance of the pins of each brace group whose stroke and load cells respond.
 
     Parameters
     ----------
     motion
         A test.
     band
-        [Hz] in which the strokes' equations are fitted.
+        Band [Hz] in which the strokes' equations are fitted.
     """
-    # a displacement sensor by itself: with an accelerometer that is late it would be late too
+    # use the displacement sensor alone: a combination with a late accelerometer would be late too
     each = [motion.spectra.get(f"x{floor}", motion.displacement(floor)) for floor in range(1, motion.floors + 1)]
     displacements = [one for one in each if one is not None]
     lines = motion.within(band)
