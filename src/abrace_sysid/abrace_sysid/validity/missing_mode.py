@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether what a model leaves over of a test is one more mode: then a single pole pair explains nearly all of it."""
+"""Detection of a mode that the model lacks: one pole pair then explains nearly all of the strongest residual."""
 
 from __future__ import annotations
 
@@ -19,34 +19,36 @@ if TYPE_CHECKING:
     from abrace_sysid.validity.residuals import Residual
 
 NEAR = 0.1
-"""Half-width of the lines about the strongest residual that are fitted, as a share of its frequency."""
+"""Half-width of the window about the strongest residual in which the mode is fitted, as a share of its frequency."""
 
 LEAST_LINES = 40
 
 DAMPING = (0.003, 0.02, 0.1)
-"""To start from."""
+"""Initial values of the damping ratio."""
 
 SAME = 0.02
-"""Greatest relative difference of two frequencies that count as one mode's."""
+"""Two frequencies belong to the same mode if their relative difference is at most this."""
 
 EXPLAINED, SMOOTH = 0.9, 0.8
-"""Least share of a residual that a missing mode explains, and greatest that follows the input without any resonance.
+"""The residual is a missing mode if a mode explains more than EXPLAINED of it, and a response without resonance less
+than SMOOTH.
+
 Friction and backlash leave residuals of which a mode explains less than half."""
 
 
 @dataclass(frozen=True)
 class MissingMode:
-    """The pole pair that explains most of the strongest residual.
+    """The mode (pole pair) that explains most of the strongest residual.
 
     Parameters
     ----------
     frequency, damping
         [rad/s] and ratio.
     explained, smoothly
-        Shares of the residual beyond noise, about that frequency, that it explains, and that a straight line over
-        frequency times the inputs explains, which is no mode.
+        Shares of the residual beyond noise, about that frequency, that the mode explains, and that a straight line over
+        frequency times the inputs (a response without resonance) explains.
     known
-        Whether the model has a mode there, and fits it badly.
+        Whether the model already has a mode at this frequency, but fits it badly.
     """
 
     frequency: float
@@ -57,18 +59,18 @@ class MissingMode:
 
     @property
     def is_one(self) -> bool:
-        """Whether the residual is a mode that the model has not."""
+        """Whether the residual is a mode that the model lacks."""
         explains = self.explained > EXPLAINED and self.smoothly < SMOOTH
         return explains and not self.known and 1e-4 < self.damping < 0.3
 
 
 def missing_mode(residual: Residual) -> MissingMode | None:
-    """The mode that explains most of a residual; None where there is no residual beyond noise.
+    """The mode that explains most of a residual; None if the residual is no more than noise.
 
     Parameters
     ----------
     residual
-        Of a test with noise.
+        Residual of a test with noise.
     """
     omega, power, sample_period = residual.omega, residual.ratio.sum(axis=1), residual.sample_period
     smooth = np.convolve(power, np.ones(5) / 5, "same")

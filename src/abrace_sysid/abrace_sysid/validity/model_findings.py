@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings on the identified model: what it leaves over of the tests, whether the tests agree, the servos' lags."""
+"""Findings on the identified model: its residuals in the tests, the agreement of the tests, and the servos' lags."""
 
 from __future__ import annotations
 
@@ -28,31 +28,31 @@ if TYPE_CHECKING:
     from abrace_sysid.validity.residuals import Dependence, Residual
 
 UNEXPLAINED = (0.01, 0.2)
-"""Residual beyond noise, as a share of a channel's response: from the first on care is needed, from the second on the
-model cannot be trusted."""
+"""Limits of the residual beyond noise, as a share of a channel's response: "trust with care" above the first, "don't
+trust" above the second."""
 
 NEGLIGIBLE = 0.005
-"""The same, up to which it does not matter whether the residual is white."""
+"""If the residual is below this share of the response, its colour does not matter."""
 
 LINEAR = 0.6
-"""Share of a residual's power that follows the input, from which on it is dynamics that the model lacks."""
+"""If more than this share of a residual's power follows the input, the model lacks linear dynamics."""
 
 DIFFERENT_FREQUENCY, DIFFERENT_DAMPING = (1e-3, 0.05), (0.03, 0.5)
-"""Relative differences of a mode between two tests from which on care is needed, and nothing can be trusted."""
+"""Limits of a mode's relative difference between two tests: "trust with care", and "don't trust"."""
 
 LAG_DIFFERENCE = (0.5, 0.0005)
-"""Difference of a servo's lag from the one given, as a share of it and in seconds, from both of which on it matters."""
+"""A servo's lag differs from `servo_lag` if the difference exceeds both this share of it and this many seconds."""
 
 
 def unexplained(residual: Residual, nonlinear: Sequence[str]) -> list[Finding]:
-    """Findings on what the model leaves over of one test: how much, of what colour, and whether it follows the input.
+    """Findings on the model's residual in one test: its size, its whiteness, and its dependence on the input.
 
     Parameters
     ----------
     residual
-        Of the test.
+        The residual.
     nonlinear
-        Faults already found that leave a residual, by name.
+        Names of faults already found that cause a residual.
     """
     depends = dependence(residual) if residual.excited else None
     mode = None
@@ -101,7 +101,7 @@ def _cause(
 
 
 def _small_mode(residual: Residual, mode: MissingMode) -> list[Finding]:
-    """A mode that is missed but leaves little: named where a model should have it."""
+    """The finding on a missing mode whose residual is small, if there is one."""
     return [
         _finding(
             "modes",
@@ -117,7 +117,7 @@ def _small_mode(residual: Residual, mode: MissingMode) -> list[Finding]:
 
 
 def _whiteness(residual: Residual) -> Finding:
-    """Of the channel whose coloured residual is the greatest share of its response; a white one counts as none."""
+    """The finding on whiteness, for the channel with the greatest coloured residual relative to its response."""
     distance, frequency = residual.whiteness()
     coloured = distance > float(stats.kstwobign.isf(FALSE_ALARM / len(distance)))
     shares = np.where(coloured, residual.excess, 0.0)
@@ -133,7 +133,7 @@ def _whiteness(residual: Residual) -> Finding:
 
 def _independence(residual: Residual, depends: Dependence, cause: str, advice: str) -> Finding:
     certain = depends.probability.min() * depends.probability.size < FALSE_ALARM
-    # of channels that are no more than noise the share says nothing
+    # in channels whose dependence is not significant the share is due to noise
     shares = np.where(depends.probability.min(axis=0) * depends.probability.size < FALSE_ALARM, depends.total, 0.0)
     shares = np.where(residual.excess > NEGLIGIBLE, shares, 0.0)
     worst = int(np.argmax(shares))
@@ -164,13 +164,14 @@ def disagreeing(
     check
         Its name.
     names
-        What the estimates are from.
+        Names of the tests of the two estimates.
     one, other
-        Pairs.
+        Pole pairs of the two estimates.
     cause
         The fault that would explain a difference.
     building
-        The modes of the building. Another that is nowhere the same is none of the rig's, and costs the model little.
+        The modes of the building. Any other mode that differs between the tests is not a mode of the rig, and affects
+        the model little.
     """
     found = differences(one, other)
     if not found:
@@ -212,12 +213,12 @@ def _different(one: Difference) -> Verdict:
 
 
 def modes_of_both(table: Sequence[PoleInterval], common: Sequence[PoleInterval]) -> list[Finding]:
-    """A finding for each mode that the table's tests show and the model of all tests has not.
+    """A finding for each mode that the table tests show and the model of all tests lacks.
 
     Parameters
     ----------
     table, common
-        Pairs from the table's tests, and of the model.
+        Pole pairs of the table tests, and of the model.
     """
     missing = [pair for pair in table if not _is_one_of(pair.frequency, common)]
     return [
@@ -238,16 +239,16 @@ def modes_of_both(table: Sequence[PoleInterval], common: Sequence[PoleInterval])
 def repeated(
     data: TestData, poles: NDArray[np.complex128], cause: str, building: Sequence[PoleInterval]
 ) -> list[Finding]:
-    """Findings on repeated tests of one kind, or on the halves of the only one: whether their modes agree.
+    """Findings on the agreement of the modes of repeated tests of one input, or of the halves of a single test.
 
     Parameters
     ----------
     data
         The tests.
     poles
-        Those of all tests together that these show.
+        Poles, estimated from all tests, that appear in these tests.
     cause, building
-        As of `disagreeing`.
+        As in `disagreeing`.
     """
     if data.periodic or data.input != data.together[0]:
         return []
@@ -259,14 +260,14 @@ def repeated(
 
 
 def lag_of_response(response: FrequencyResponse, force: str) -> float:
-    """The lag of a servo from the phase of its force over its command in the upper half of the band [s].
+    """The lag [s] of a servo, from the phase of force over command in the upper half of the band.
 
     Parameters
     ----------
     response
-        From the command, hold included.
+        Transfer functions from the command, hold included.
     force
-        The force's name among its outputs.
+        Name of the force among the outputs.
     """
     measured = response.select([force])
     upper = measured.omega > measured.omega[-1] / 2
@@ -281,9 +282,9 @@ def lag(command: str, source: str, measured: float, given: float) -> list[Findin
     Parameters
     ----------
     command, source
-        Its command, and the tests.
+        Name of the servo's command, and of the tests.
     measured, given
-        Seconds; 0 is given where there was no bench test.
+        Identified lag, and that of the bench test [s]; 0: no bench test.
     """
     difference, limit = abs(measured - given) if given else 0.0, max(LAG_DIFFERENCE[0] * given, LAG_DIFFERENCE[1])
     verdict = judged(difference, limit)
@@ -308,7 +309,7 @@ def _finding(
     advice: str,
     unit: str = "",
 ) -> Finding:
-    """Without cause and advice where nothing was found."""
+    """A finding; cause and advice are left out if the verdict is "trust"."""
     spoken = (cause, meaning, advice) if verdict else ("", meaning, "")
     return Finding(check, where, float(value), float(limit), unit, verdict, *spoken)
 

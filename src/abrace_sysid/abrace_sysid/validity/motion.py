@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The spectra of a test's channels, their noise, and the floors' displacements from all sensors of a floor together."""
+"""The spectra of a test's channels, their sensor noise, and each floor's displacement from all its sensors."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ if TYPE_CHECKING:
     from abrace_core.run import Run
 
 QUIET = (1.3, 0.8)
-"""Where a record is sensor noise alone: from so often the highest excited frequency to a share of half the rate."""
+"""The band that contains only sensor noise: from 1.3 times the highest excited frequency to 0.8 of half the sample
+rate."""
 
 
 BANDS = 5
-"""In which the noise is estimated."""
+"""Number of parts of this band; the noise is estimated in each."""
 
 LEAST_NOISE = 1e-7
-"""Of a channel, as a share of its rms: exact readings have rounding alone."""
+"""Least noise of a channel, as a share of its rms; for exact readings, which have only rounding errors."""
 
 
 def noise_level(series: NDArray[np.float64], sample_period: float, highest: float) -> float:
     """Standard deviation of sensor noise in the excited band, from the median power in bands above it.
 
-    The greatest of them counts: a filter takes from the higher ones.
+    The greatest value of these bands is used, since an anti-alias filter attenuates the higher ones.
 
     Parameters
     ----------
@@ -56,22 +57,23 @@ def noise_level(series: NDArray[np.float64], sample_period: float, highest: floa
 
 @dataclass(frozen=True)
 class Motion:
-    """One test, line by line.
+    """The spectra of one test.
 
     Parameters
     ----------
     source
-        The test.
+        Name of the test.
     floors, groups
-        Of the rig.
+        Number of floors and of brace groups of the rig.
     braces
-        (groups,) braces in each group.
+        (groups,) number of braces in each group.
     samples, sample_period
-        Of the record.
+        Length of the record [samples], and seconds between samples.
     omega
-        (lines,) [rad/s] of the whole record, from 0 on.
+        (lines,) [rad/s] all lines of the record, from 0 on.
     spectra
-        Of each channel that answers, of w and of the commands: (lines,), over the square root of the samples.
+        (lines,) transform over the square root of the number of samples, of each channel that responds, of w and of the
+        commands.
     noise
         Standard deviation of each channel's noise.
     """
@@ -88,7 +90,7 @@ class Motion:
 
     @classmethod
     def of(cls, run: Run, highest: float) -> Motion:
-        """The motion in a test.
+        """The spectra of a test.
 
         Parameters
         ----------
@@ -115,7 +117,7 @@ class Motion:
         )
 
     def with_channels(self, spectra: Mapping[str, NDArray[np.complex128]], noise: Mapping[str, float]) -> Motion:
-        """The same test with some channels' spectra and noise in place of its own."""
+        """The same test with the spectra and noise of some channels replaced."""
         return replace(self, spectra={**self.spectra, **spectra}, noise={**self.noise, **noise})
 
     def without(self, names: Collection[str]) -> Motion:
@@ -128,9 +130,10 @@ class Motion:
         return np.flatnonzero((self.omega >= low) & (self.omega <= high) & (self.omega > 0))
 
     def displacement(self, floor: int) -> NDArray[np.complex128] | None:
-        """(lines,) of a floor, 1 the lowest, from its displacement sensor and accelerometer, each by its noise.
+        """(lines,) displacement of a floor (1 is the lowest), from displacement sensor and accelerometer.
 
-        None where neither answers. Lines at which the table's motion has no reading have the displacement sensor alone.
+        The two are weighted by their noise; None if neither can be used. The accelerometer is used only if the table's
+        acceleration is known as well.
         """
         x, a, w = (self.spectra.get(name) for name in (f"x{floor}", f"a{floor}", signals.GROUND))
         square = np.where(self.omega > 0, self.omega, 1.0) ** 2
@@ -144,12 +147,12 @@ class Motion:
         return np.asarray((own * x + precise * of_acceleration) / (own + precise))
 
     def series(self, spectrum: NDArray[np.complex128], band: tuple[float, float]) -> NDArray[np.float64]:
-        """(samples,) of what a `spectrum` has in a `band` [Hz]."""
+        """(samples,) time history of the part of a `spectrum` within a `band` [Hz]."""
         kept = np.zeros_like(spectrum)
         lines = self.within(band)
         kept[lines] = spectrum[lines]
         return np.asarray(fft.irfft(kept, self.samples) * np.sqrt(self.samples))
 
     def spectrum(self, series: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """(lines,) of a `series` (samples,), in the scale of the others."""
+        """(lines,) spectrum of a `series` (samples,), in the scale of `spectra`."""
         return np.asarray(fft.rfft(series) / np.sqrt(self.samples))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A finding on the prediction of a test that was not used: what no fit can be good at by itself."""
+"""The finding on the prediction of a test that was not used for identification."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 MISSED = (0.03, 0.3)
-"""Rms error without sensor noise over the measured rms, of the worst channel: from the first on care is needed, from
-the second on the model cannot be trusted."""
+"""Limits of the worst channel's rms error, sensor noise subtracted, over the measured rms: "trust with care" above the
+first, "don't trust" above the second."""
 
 
 def prediction_finding(errors: Mapping[str, float]) -> Finding:
@@ -21,7 +21,7 @@ def prediction_finding(errors: Mapping[str, float]) -> Finding:
     Parameters
     ----------
     errors
-        By channel: rms without sensor noise, over the measured rms.
+        Rms error of each channel, sensor noise subtracted, over the measured rms.
     """
     worst = max(errors, key=lambda name: errors[name])
     error = errors[worst]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Linear regression over frequency lines, with deviations that hold where the noise is coloured."""
+"""Linear regression over frequency lines, with standard deviations that are valid for coloured noise."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ REWEIGHTINGS = 3
 def regression(
     measured: NDArray[np.complex128], columns: NDArray[np.complex128]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Real coefficients of complex `columns` in what was `measured`, weighted by the residual's own smoothed power.
+    """Real coefficients of complex `columns` in `measured`, weighted by the inverse of the residual's smoothed power.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def regression(
     Returns
     -------
     coefficients, deviations
-        (regressors,); the standard deviations from each line's own residual (White 1980).
+        (regressors,) coefficients and standard deviations; these follow from each line's residual (White 1980).
     """
     lines = len(measured)
     both, values = np.vstack([columns.real, columns.imag]), np.concatenate([measured.real, measured.imag])
@@ -55,5 +55,5 @@ def regression(
 
 
 def leakage(omega: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """(lines, 4) what derivatives of a record with unequal ends have at `omega`: a + b i w, a and b complex."""
+    """(lines, 4) regressors of the leakage in derivatives of a record with unequal ends: a + b i w, a and b complex."""
     return np.column_stack([np.ones(len(omega)), 1j * np.ones(len(omega)), 1j * omega, omega]).astype(np.complex128)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Residuals of the model in a test, line by line, compared with the sensors' noise.
 
-The model is simulated with the measured inputs; the leakage of the record's ends, a transient with the model's
-own poles, is fitted. Noise explains a part of the residual: that of the outputs' sensors and, through the structure, of
-the table's; their levels are read from the record above the excited band. The rest is not described by the model. If it
-depends linearly on the input it is dynamics that the model lacks (a mode, a delay); if not, the rig is not linear
-(Pintelon and Schoukens 2012, ch. 4; Ljung 1999, sec. 16.6).
+The model is simulated with the measured inputs. The leakage of the record's ends, a transient with the model's poles,
+is fitted. Noise explains a part of the residual: the noise of the output sensors, and that of the table's
+accelerometer, which acts through the structure. Both levels are estimated from the record above the excited band. The
+model does not describe the rest. If the rest depends linearly on the input, the model lacks dynamics (a mode, a delay);
+if not, the rig is nonlinear (Pintelon and Schoukens 2012, ch. 4; Ljung 1999, sec. 16.6).
 """
 
 from __future__ import annotations
@@ -35,38 +35,38 @@ if TYPE_CHECKING:
     from abrace_sysid.spectra.holds import InputHold
 
 SMOOTHED = 41
-"""Lines over which the deviations of a periodic test are averaged."""
+"""Number of lines over which the noise power of a periodic test is averaged."""
 
 HALF_WIDTH = 10
-"""Lines to each side in which the residual's dependence on the input is one straight line over frequency."""
+"""Half-width [lines] of the windows in which the residual over the input is taken as a straight line over frequency."""
 
 
 @dataclass(frozen=True)
 class Residual:
-    """What a model leaves over of one test.
+    """The residual of a model in one test.
 
     Parameters
     ----------
     source
-        The test.
+        Name of the test.
     inputs, outputs
-        Names.
+        Names of the signals.
     omega
         (lines,) [rad/s].
     excitation
-        (lines, inputs) spectra of what was excited; ones where `measured` is a transfer function.
+        (lines, inputs) spectra of the excited inputs; ones if `measured` is a transfer function.
     measured, left
-        (lines, channels) spectra, and what the model leaves of them.
+        (lines, channels) spectra of the outputs, and of the residual (measured minus modelled).
     noise
-        (lines, channels) expected power of what sensors' noise leaves.
+        (lines, channels) expected power of the residual due to sensor noise.
     sample_period
         Seconds.
     poles
-        Of the model [rad/s].
+        Poles of the model [rad/s].
     holds
-        How each input moves between samples.
+        Behaviour of each input between samples.
     excited
-        Whether the spectra are those of noise, whose phases are random from line to line.
+        Whether the excitation was noise, whose phases are random from line to line.
     """
 
     source: str
@@ -84,29 +84,29 @@ class Residual:
 
     @property
     def ratio(self) -> NDArray[np.float64]:
-        """(lines, channels) power of the residual over what noise leaves; 1 on the mean of a true model."""
+        """(lines, channels) power of the residual over that due to noise; its mean is 1 for a correct model."""
         return np.asarray(np.abs(self.left) ** 2 / self.noise)
 
     @property
     def excess(self) -> NDArray[np.float64]:
-        """(channels,) residual beyond noise, rms, as a share of the response's."""
+        """(channels,) rms of the residual, noise subtracted, as a share of the response's rms."""
         beyond = np.mean(np.abs(self.left) ** 2 - self.noise, axis=0)
         return np.asarray(np.sqrt(np.maximum(beyond, 0) / np.mean(np.abs(self.measured) ** 2, axis=0)))
 
     @property
     def probability(self) -> NDArray[np.float64]:
-        """(channels,) that noise alone leaves as much: of a chi-square with two degrees of freedom a line."""
+        """(channels,) probability of such a residual by noise alone (chi-square, two degrees of freedom a line)."""
         lines = len(self.omega)
         return np.asarray(stats.chi2.sf(2 * np.sum(self.ratio, axis=0), 2 * lines))
 
     def whiteness(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Bartlett's test (1955): whether the residual, over its noise, is spread evenly over the band.
+        """Bartlett's test (1955) of whether the residual, normalised by its noise, is spread evenly over the band.
 
         Returns
         -------
         distance, frequency
-            (channels,) greatest distance of the cumulative periodogram from a straight line, times the root of the
-            lines; and where it rises fastest [rad/s].
+            (channels,) greatest distance of the cumulative periodogram from a straight line, times the square root of
+            the number of lines; and the frequency at which it rises fastest [rad/s].
         """
         cumulative = np.cumsum(self.ratio, axis=0) / np.sum(self.ratio, axis=0)
         lines = len(self.omega)
@@ -118,18 +118,18 @@ class Residual:
 
 @dataclass(frozen=True)
 class Dependence:
-    """How far a residual follows the input.
+    """The linear dependence of a residual on the input.
 
     Parameters
     ----------
     omega
         (windows,) [rad/s], middle of each window.
     probability
-        (windows, channels) that noise shows as much dependence (F test).
+        (windows, channels) probability that noise alone shows as much dependence (F test).
     share
-        (windows, channels) rms of what follows the input, over that of the response in the window.
+        (windows, channels) rms of the part that depends on the input, over the response's rms in the window.
     total
-        (channels,) the same over the band.
+        (channels,) the same over the whole band.
     """
 
     omega: NDArray[np.float64]
@@ -140,12 +140,12 @@ class Dependence:
 
 @takes_models
 def residual_of(run: Run, inputs: tuple[str, ...], model: LinearModel, band: tuple[float, float]) -> Residual:
-    """What `model` leaves over of a test with noise.
+    """The residual of `model` in a test with noise.
 
     Parameters
     ----------
     run
-        The test, without trends.
+        The test, trends removed.
     inputs
         Names of all inputs that were excited.
     model
@@ -170,9 +170,10 @@ def residual_of(run: Run, inputs: tuple[str, ...], model: LinearModel, band: tup
 
 @takes_models
 def residual_of_data(data: MeasuredData, model: LinearModel, band: tuple[float, float]) -> Residual:
-    """What `model` leaves over of measured data, which may be excited up to half the sample rate.
+    """The residual of `model` in measured data, which may be excited up to half the sample rate.
 
-    No part of such a record is noise alone. Its level is taken from the fifth of the band in which least is left over.
+    No part of such a record contains only noise. So the noise level is that of the residual in the fifth of the band in
+    which the residual is least.
 
     Parameters
     ----------
@@ -208,19 +209,19 @@ def residual_of_data(data: MeasuredData, model: LinearModel, band: tuple[float, 
 
 @takes_models
 def residual_of_response(measured: FrequencyResponse, model: LinearModel, source: str) -> Residual:
-    """What a model leaves over of a transfer function, of a periodic test.
+    """The residual of a model in a transfer function from a periodic test.
 
     Parameters
     ----------
     measured
-        With its standard deviations.
+        The transfer function, with its standard deviations.
     model
         Continuous.
     source
         Name of the test.
     """
     left = measured.response - sampled_response(model.select(measured.outputs), measured)
-    # a few periods tell little of one line's deviation, and more of its neighbours'
+    # a few periods give a poor estimate of one line's noise: average over neighbouring lines
     noise = uniform_filter1d(measured.sigma**2, min(SMOOTHED, len(left)), axis=0, mode="nearest")
     ones, inputs = np.ones((len(left), 1), dtype=np.complex128), (measured.input,)
     period, outputs, poles = measured.sample_period, measured.outputs, _poles(model)
@@ -241,7 +242,7 @@ def _without_transient(
     sample_period: float,
     level: NDArray[np.float64],
 ) -> NDArray[np.complex128]:
-    """The residual without the leakage that a transient with the model's own poles makes."""
+    """The residual after subtraction of the leakage, fitted as a transient with the model's poles."""
     z, columns = np.exp(1j * omega * sample_period), [np.ones(len(omega), dtype=np.complex128)]
     sampling = Sampling(sample_period)
     for pole in np.linalg.eigvals(model.a):
@@ -262,7 +263,7 @@ def _without_transient(
 
 
 def dependence(residual: Residual) -> Dependence:
-    """Whether a residual follows the input: in each window of lines a straight line over frequency, against noise."""
+    """Test the dependence of a residual on the input: a straight line over frequency times the input in each window."""
     inputs = residual.excitation.shape[1]
     half = max(HALF_WIDTH, 4 * (inputs + 1))
     width = 2 * half + 1
@@ -284,7 +285,7 @@ def dependence(residual: Residual) -> Dependence:
     explained = without - with_input
     ratio = explained / more / np.maximum(with_input / free, np.finfo(float).tiny)
     size = np.sum(np.abs(residual.measured[index]) ** 2, axis=1)
-    # of what is explained noise would explain its share
+    # subtract the part that would be explained if the residual were noise
     beyond = np.maximum(explained - more * with_input / free, 0)
     total = np.sqrt(beyond.sum(axis=0) / size.sum(axis=0))
     return Dependence(
@@ -293,14 +294,16 @@ def dependence(residual: Residual) -> Dependence:
 
 
 def by_own_modes(residual: Residual) -> NDArray[np.float64]:
-    """(channels,) share of a residual beyond noise that vanishes if each input drives each mode as each channel likes.
+    """(channels,) share of the residual beyond noise that responses of the model's modes explain.
 
-    A linear rig of which the model has the poles right and shapes, signs or delays wrong; of friction little vanishes.
+    The size of each mode's response to each input is fitted freely in each channel. If the model of a linear rig has
+    the right poles but wrong shapes, signs or delays, this explains most of the residual; of a residual due to friction
+    it explains little.
 
     Parameters
     ----------
     residual
-        Of a test.
+        Residual of a test.
     """
     omega, period = residual.omega, residual.sample_period
     z = np.exp(1j * omega * period)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings on what is not linear in the rig: friction of storeys, backlash of braces."""
+"""Findings on nonlinearities of the rig: friction of storeys, backlash of braces."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ if TYPE_CHECKING:
     from abrace_sysid.validity.motion import Motion
 
 FALSE_ALARM = 1e-3
-"""Probability that one kind of check alarms on a linear rig by noise alone; shared by all that it looks at."""
+"""Probability of a false alarm of one check on a linear rig, over all storeys, brace groups and tests together."""
 
 ADDED_DAMPING = (2e-4, 0.03)
-"""Damping ratio that friction adds at a test's amplitude: from the first on care is needed, from the second on the
-model cannot be trusted."""
+"""Limits of the damping ratio that friction adds at a test's amplitude: "trust with care" above the first, "don't
+trust" above the second."""
 
 LOOSE_PINS = (0.003, 0.2)
-"""Likewise half the clearance of a brace's pins, over the rms of its stroke."""
+"""Limits, likewise, of half the clearance of a brace's pins over the rms of its stroke."""
 
 AGREEING = 2.0
-"""Deviations by which the equation of the floor below must show the same friction."""
+"""The equation of the floor below must show the same friction with at least this many standard deviations."""
 
 
 def normal_limit(checks: int) -> float:
-    """Deviations from zero that noise alone exceeds with FALSE_ALARM in any of so many `checks`."""
+    """Standard deviations that noise exceeds in any of `checks` comparisons with the probability FALSE_ALARM."""
     return float(stats.norm.isf(FALSE_ALARM / 2 / max(checks, 1)))
 
 
 def friction(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[Finding]:
-    """A finding for each storey that has friction, or one that none has.
+    """A finding for each storey that has friction; a single one if no storey has.
 
     Parameters
     ----------
     tests
-        Each with the band [Hz] in which its floors' equations are fitted.
+        Each test with the band [Hz] in which its floors' equations are fitted.
     """
     found = storey_frictions(tests)
     limit = normal_limit(len(found))
@@ -81,12 +81,12 @@ def _amount(one: StoreyFriction, source: str) -> str:
 
 
 def backlash(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[Finding]:
-    """A finding for each brace group whose pins are loose, or one that none are.
+    """A finding for each brace group whose pins are loose; a single one if no group's are.
 
     Parameters
     ----------
     tests
-        Each with the band [Hz] in which its strokes' equations are fitted.
+        Each test with the band [Hz] in which its strokes' equations are fitted.
     """
     found = [(motion.source, one) for motion, band in tests for one in backlashes(motion, band)]
     limit = normal_limit(len(found))
@@ -112,7 +112,7 @@ def backlash(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[Findin
 
 @dataclass(frozen=True)
 class _Part:
-    """Of a storey or brace group in one test: how much, whether beyond chance, and in words what and how much."""
+    """The fault of a storey or brace group in one test: size, significance, name and amount as text."""
 
     where: str
     value: float
@@ -122,7 +122,7 @@ class _Part:
 
 
 def _findings(fault: str, unit: str, limits: tuple[float, float], advice: str, parts: Sequence[_Part]) -> list[Finding]:
-    """A finding for each storey or brace group that has the fault, from all tests, or one that none has."""
+    """A finding for each storey or brace group that has the fault, from all tests; a single one if none has."""
     if not parts:
         return []
     findings = []

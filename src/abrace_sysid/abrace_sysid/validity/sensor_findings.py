@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings on the channels of the tests: dead, saturated, with spikes, swapped, in another unit, reversed, late."""
+"""Findings on channels of the tests: dead, saturated, with spikes, swapped, late, in a wrong unit or with a wrong sign."""
 
 from __future__ import annotations
 
@@ -23,30 +23,31 @@ if TYPE_CHECKING:
     from abrace_sysid.validity.motion import Motion
 
 WRONG = ("swapped sensors", "wrong unit", "wrong sign")
-"""Faults of channels after which no equation of floors and braces can hold."""
+"""Faults of channels with which the equations of floors and braces do not hold."""
 
 SATURATED = (0.0, 0.02)
-"""Share of a channel's samples at the end of its range: from more than the first on care is needed, from the second on
-nothing can be trusted."""
+"""Limits of the share of a channel's samples at the end of its range: "trust with care" above the first, "don't trust"
+above the second."""
 
 SPIKED = (0.0, 0.02)
-"""Likewise power of single readings that are far from their neighbours, over that of the channel."""
+"""Limits, likewise, of the power of spikes over that of the channel."""
 
 LATE = (0.0015, 0.01)
-"""Likewise seconds between two sensors of a floor. Filters and transducers of a rig as it is differ by 0.0007 s."""
+"""Limits, likewise, of the time [s] between two sensors of a floor; with the filters and transducers of the rig
+`ncree_as_a_rig` it is 0.0007 s."""
 
 
 def dead(run: Run | MeasuredData, inputs: Sequence[str], reasons: Mapping[str, str]) -> list[Finding]:
-    """A finding for each channel of a test that is no response.
+    """A finding for each channel of a test that does not respond; a single one if all respond.
 
     Parameters
     ----------
     run
         The test.
     inputs
-        What was excited. Where nothing answers to the table's acceleration it is that channel that is dead.
+        Names of the excited inputs. If no channel responds to the table's acceleration, that channel itself is dead.
     reasons
-        By channel (`recordings.dead_channels`).
+        Why each channel is dead, by name (`recordings.dead_channels`).
     """
     check, advice = "channels that answer", "Check sensor, cable and channel number, and repeat the test"
     if len(reasons) == len(run.names) and inputs == (signals.GROUND,):
@@ -70,18 +71,18 @@ def dead(run: Run | MeasuredData, inputs: Sequence[str], reasons: Mapping[str, s
 
 
 def saturated(run: Run, inputs: Sequence[str], without: Sequence[str], period: int | None) -> list[Finding]:
-    """A finding for each channel of a test at the end of its range, or one that none is.
+    """A finding for each channel of a test that reaches the end of its range; a single one if none does.
 
     Parameters
     ----------
     run
         The test.
     inputs
-        What was excited.
+        Names of the excited inputs.
     without
-        Channels that are no response.
+        Names of channels that do not respond.
     period
-        Samples of a period of a multisine.
+        Samples in a period of a multisine; None: noise.
     """
     flags = run.clipped_samples or {}
     counts = {}
@@ -96,18 +97,18 @@ def saturated(run: Run, inputs: Sequence[str], without: Sequence[str], period: i
 
 
 def at_ends(source: str, counts: Mapping[str, int], samples: int, inputs: Sequence[str]) -> list[Finding]:
-    """A finding for each channel at the end of its range, or one that none is.
+    """A finding for each channel that reaches the end of its range; a single one if none does.
 
     Parameters
     ----------
     source
-        The test.
+        Name of the test.
     counts
-        By channel, how many samples are at its extremes.
+        Number of samples at the extremes, by channel.
     samples
-        Out of how many.
+        Number of samples of the test.
     inputs
-        What was excited.
+        Names of the excited inputs.
     """
     check = "within the range"
     found = [(count / samples, name, count) for name, count in counts.items() if count]
@@ -130,14 +131,14 @@ def at_ends(source: str, counts: Mapping[str, int], samples: int, inputs: Sequen
 
 
 def spiked(run: Run | MeasuredData, names: Sequence[str]) -> list[Finding]:
-    """A finding for each channel of a test that has spikes, or one that none has.
+    """A finding for each channel of a test that has spikes; a single one if none has.
 
     Parameters
     ----------
     run
         The test.
     names
-        Channels that are looked at.
+        Names of the channels that are checked.
     """
     check, found = "spikes", []
     forces = set(names) & set(signals.numbered("f", run.groups)) if isinstance(run, Run) else set()
@@ -176,7 +177,7 @@ def contradicting(motion: Motion, band: tuple[float, float]) -> list[Finding]:
     motion
         The test.
     band
-        [Hz] of the building's modes.
+        Band [Hz] of the building's modes.
     """
     found = kinematics(motion, band)
     check, source = "sensors agree", motion.source
@@ -215,7 +216,7 @@ def contradicting(motion: Motion, band: tuple[float, float]) -> list[Finding]:
 
 
 def _named(change: Change, source: str) -> tuple[str, str, str]:
-    """Cause, meaning and advice of a change."""
+    """Cause, meaning and advice for a fault of channels."""
     if change.kind == "swapped":
         both = " and ".join(change.channels)
         return WRONG[0], f"{both} are swapped in {source}", "Correct the channel list, or the cables"
@@ -244,11 +245,11 @@ def late(name: str, others: str, lag: float, source: str) -> list[Finding]:
     Parameters
     ----------
     name, others
-        Of the sensors compared.
+        Names of the sensors compared.
     lag
-        By which the first is later [s].
+        Time by which the first is later [s].
     source
-        The test.
+        Name of the test.
     """
     first, second = (name, others) if lag > 0 else (others, name)
     verdict, cause, advice = judged(abs(lag), *LATE), "", ""

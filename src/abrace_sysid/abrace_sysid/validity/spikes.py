@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Spikes of a channel: single readings far from their neighbours, as a loose plug or a lost byte makes them.
+"""Detection of spikes: single readings far from their neighbours, caused for example by a loose plug or a lost byte.
 
-What the neighbours of a reading say of it, by the cubic through two on either side, is right but for noise as long as
-the channel is sampled often enough for what it measures. The usual deviation is that of the record; its median is not
-moved by the spikes. No motion leaves its course for a reading or two and is back in it at once.
+If a channel is sampled fast enough, the cubic through two readings on either side predicts each reading except for
+noise. A reading is a spike if it deviates from this cubic much more than usual. The usual deviation is estimated by the
+median over the record, which spikes do not affect. No motion deviates for one or two readings and returns at once.
 
-A brace whose pins have play is an exception: while its force reverses it stays at zero for a sample, and where it
-strikes then, accelerations jump. That reading of the force lies between those before and after it; a spike does not.
+A brace with backlash is an exception: while its force reverses it stays at zero for a sample, and at the following
+impact accelerations jump. Such a reading of the force lies between its two neighbours; a spike does not.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 CUBIC = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6
-"""A reading less what the cubic through its neighbours has there."""
+"""Weights of five readings that give the middle reading minus the cubic through its neighbours."""
 
 FAR = 10.0
-"""Usual deviations from that cubic, from which on a reading is a spike; five linear rigs had 5.1 at most."""
+"""A spike deviates from that cubic by at least this many times the usual; five linear rigs reached at most 5.1."""
 
 ALONE = 0.3
-"""Greatest difference of its neighbours' deviations from those that a single reading makes, as a share of its own."""
+"""A single wrong reading changes its neighbours' deviations by known amounts. They may differ from these by this share
+of its own deviation."""
 
 BEYOND = 0.2
-"""How far a spike is at least above or below both readings beside it, as a share of its deviation."""
+"""A spike is above or below both its neighbours by at least this share of its deviation."""
 
 
 def spikes(series: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -42,28 +43,28 @@ def spikes(series: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.f
     Returns
     -------
     where, size
-        (spikes,) their numbers, and how far each is from the course of its neighbours.
+        (spikes,) sample indices, and deviation of each from the cubic through its neighbours.
     """
     where, size, beyond = _apart(series)
     return where[beyond], size[beyond]
 
 
 def reversals_with_play(force: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Numbers of the samples at which a brace's `force` (samples,) stays at zero while it reverses."""
+    """Indices of the samples at which a brace's `force` (samples,) stays at zero while it reverses."""
     where, _, beyond = _apart(force)
     return where[~beyond]
 
 
 def _apart(series: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Single readings far from their neighbours' course, how far, and whether they are beyond both neighbours."""
+    """Indices of single deviating readings, their deviations, and whether they are beyond both neighbours."""
     away = np.zeros(len(series))
     away[2:-2] = np.convolve(series, CUBIC, "valid")
     steps = np.abs(np.diff(series))
-    # a converter's last bit is no spike
+    # a step of the converter's last bit is not a spike
     usual = max(float(np.median(np.abs(away))) / 0.6745, float(steps[steps > 0].min(initial=np.inf)))
     far = np.flatnonzero(np.abs(away) > FAR * usual)
     far = far[(far >= 4) & (far < len(series) - 4)]
-    # one reading alone spoils its neighbours' cubics by the same numbers; a blow in the rig does not
+    # a single wrong reading changes its neighbours' deviations by the same weights; an impact in the rig does not
     around = away[far[:, None] + np.arange(-2, 3)]
     alone = np.abs(around / away[far][:, None] - CUBIC / CUBIC[2]).max(axis=1, initial=0) < ALONE
     far = far[alone]
