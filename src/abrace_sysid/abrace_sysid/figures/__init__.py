@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Identifications and validations to matplotlib Figures; `abrace_core.drawing` has the colours and saves them."""
+"""Matplotlib figures of identifications and validations; `abrace_core.drawing` has the colours and saves figures."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of ambient tests: poles of rising order with their intervals, and what has changed between two tests."""
+"""Figures of ambient tests: stabilisation diagram with intervals, and changes of modes between two tests."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from abrace_sysid.ambient.modes import AmbientTest
 
 SHOWN = 0.02
-"""Relative standard deviation of a frequency up to which a pole is drawn."""
+"""A pole is drawn if its frequency's relative standard deviation is below this."""
 
 
 def ambient_stabilization(test: AmbientTest) -> Figure:
-    """Poles of rising order of a `test` with 95 % intervals, its modes, and the spectrum behind them."""
+    """Poles of a `test` at rising order with 95 % intervals, its modes, and in the background the spectrum."""
     figure = Figure(figsize=(8.0, 5.0), layout="constrained")
     axis = figure.subplots()
     behind = axis.twinx()

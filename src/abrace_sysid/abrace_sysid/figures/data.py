@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from abrace_sysid.data_identification import DataIdentification
 
 SHOWN = 3
-"""Outputs of which transfer functions are drawn."""
+"""Number of outputs whose transfer functions are drawn."""
 
 
 def figures_of_data(found: DataIdentification) -> dict[str, Figure]:
-    """By name: transfer functions from each input, residuals, and the intervals of the modes of `found`."""
+    """The figures of `found` by name: transfer functions from each input, residuals, and intervals of the modes."""
     shown = found.model.outputs[:SHOWN]
     drawn = {
         f"transfer_functions_{response.input}": figures.transfer_functions(

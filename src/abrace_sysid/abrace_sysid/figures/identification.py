@@ -27,14 +27,17 @@ if TYPE_CHECKING:
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 MOST_NAMED = 5
-"""Channels up to which each has a curve of its own."""
+"""Up to this number of channels each has its own curve."""
 WORDS = {"x": "displacements", "xf": "strokes", "a": "accelerations", "f": "forces"}
 """Kinds of a rig's channels."""
 COLOURS = (MEASURED, SIMULATED, "#2a7f62", "#d08c1d")
 FAINT = "#c3cbd8"
-"""Of measured lines that are noise."""
+"""Colour of measured lines that are not distinct from noise."""
 SEEN, NEIGHBOURS = 2.0, 15
-"""Times their standard deviation from which on so many lines are more than noise: below, phase is not drawn."""
+"""A line is distinct from noise if the amplitude over NEIGHBOURS lines is at least SEEN times the standard deviation.
+
+The phase of other lines is not drawn.
+"""
 
 
 @takes_models
@@ -49,13 +52,13 @@ def transfer_functions(
     Parameters
     ----------
     measured
-        Of the sampled rig.
+        Transfer functions of the sampled rig.
     channels
         Outputs to show, one column each.
     fitted
-        Continuous model; its curve is drawn as sampled, with hold and delay, as the measured one is.
+        Continuous model; its curve includes sampling, hold and delay, like the measured one.
     units
-        Of measured data, by name; None: those of a rig's signals.
+        Units of measured data, by name; None: those of a rig's signals.
     """
     figure = Figure(figsize=(4.8 * len(channels), 5.6), layout="constrained")
     axes = figure.subplots(2, len(channels), sharex=True, squeeze=False)
@@ -94,16 +97,16 @@ def transfer_functions(
 
 
 def _seen(points: NDArray[np.complex128], sigma: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which lines (lines,) are more than noise: with their neighbours, SEEN times their standard deviation `sigma`."""
+    """Which lines (lines,) are distinct from noise with standard deviation `sigma` (see SEEN)."""
     return np.asarray(
         uniform_filter1d(np.abs(points) ** 2, NEIGHBOURS) > uniform_filter1d((SEEN * sigma) ** 2, NEIGHBOURS)
     )
 
 
 def _levels(axis: Axes, frequency: NDArray[np.float64], one: FrequencyResponse) -> float:
-    """Draw the standard deviation of one channel's response, and its distortion if that is known; the least of them.
+    """Draw the standard deviation of one channel's response, and its distortion if known; return the least value.
 
-    Single lines scatter too much to be read: each curve is the rms over the neighbouring hundredth.
+    Each curve is smoothed: the rms over a hundredth of the lines.
     """
     levels = {"standard deviation" if one.distortion is None else "noise": one.sigma}
     if one.distortion is not None:
@@ -118,7 +121,7 @@ def _levels(axis: Axes, frequency: NDArray[np.float64], one: FrequencyResponse) 
 
 
 def hankel_singular_values(values: NDArray[np.float64], kept: int) -> Figure:
-    """Hankel singular values (states,), greatest first, and the `kept` first that a reduced model has."""
+    """Hankel singular values (states,), greatest first; the first `kept` are those of the reduced model."""
     figure = Figure(figsize=(6.4, 3.8), layout="constrained")
     axis = figure.subplots()
     shown = np.maximum(values, 1e-8 * values[0])
@@ -136,14 +139,14 @@ def hankel_singular_values(values: NDArray[np.float64], kept: int) -> Figure:
 
 
 def reduction_errors(errors: OrderErrors, kept: int, inputs: Sequence[str] = (signals.GROUND, "U")) -> Figure:
-    """Errors of the reduced model by its order, for each input: of its channels the worst and the median.
+    """Errors of reduced models over their order, for each input: the worst and the median of all channels.
 
     Parameters
     ----------
     errors
-        Of all orders; those that have a stable reduced model are drawn, and no error below a millionth.
+        Errors of all orders. Orders without a stable reduced model are left out; errors below 1e-6 are not drawn.
     kept
-        States of the reduced model.
+        Number of states of the reduced model.
     inputs
         Names of the model's inputs; by default those of a rig with one brace group.
     """
@@ -167,9 +170,9 @@ def reduction_errors(errors: OrderErrors, kept: int, inputs: Sequence[str] = (si
 
 @takes_models
 def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Figure:
-    """Residuals of a model against measured transfer functions, and over their standard deviations: a column each.
+    """Residuals of a model in measured transfer functions, relative to the response and to the standard deviation.
 
-    Each curve is the rms over the neighbouring fortieth of the lines: single ones scatter too much to be read.
+    Each transfer function has a column. Curves are smoothed: the rms over a fortieth of the lines.
 
     Parameters
     ----------
@@ -210,7 +213,7 @@ def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Fig
 
 
 def _kinds(names: Sequence[str]) -> dict[str, list[int]]:
-    """Columns of the channels that share a curve: each its own where there are few, else those of a kind."""
+    """Indices of the channels that share a curve: with few channels each has its own, else those of a kind share one."""
     if len(names) <= MOST_NAMED:
         return {symbol(name): [i] for i, name in enumerate(names)}
     kinds = {
@@ -226,12 +229,12 @@ def _kind(name: str) -> str:
 
 
 def stabilization_diagram(found: Stabilization, reference: list[float] | None = None) -> Figure:
-    """Poles of rising order; behind them the mean amplitude of all channels.
+    """Poles at rising order, and in the background the mean amplitude of all channels.
 
     Parameters
     ----------
     found
-        What to draw.
+        Poles of all orders.
     reference
         Frequencies to mark [rad/s], such as those of a fit.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of poles: how far sets of pole pairs are apart, and within which intervals they are known."""
+"""Figures of poles: differences between sets of pole pairs, and confidence intervals."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ REFERENCES: tuple[dict[str, Any], ...] = (
     {"marker": "s", "color": REFERENCE, "mfc": "none"},
 )
 SAME = 0.1
-"""Relative difference in frequency up to which two pairs are the same mode."""
+"""Two pairs are the same mode if their frequencies differ by at most this share."""
 SPREAD = 0.6
-"""Of a row's height over which the marks of its sets are spread, that none lies on another."""
+"""Share of a row's height over which the markers of the sets are spread, so that they do not overlap."""
 
 
 def pole_chart(poles: Mapping[str, NDArray[np.complex128]], reference: Mapping[str, NDArray[np.complex128]]) -> Figure:
-    """How far each oscillating pole is from the first set's: frequency and damping ratio, a row for each mode.
+    """Differences of frequency and damping ratio of each oscillating pole from a reference set, a row for each mode.
 
     Parameters
     ----------
     poles
-        Identified sets by name. [rad/s]
+        Identified sets by name [rad/s].
     reference
-        Sets to compare with by name (the rig's own, the paper's); the first is the zero of the axes; without one the
-        first identified set is.
+        Reference sets by name (for example the rig's, the paper's) [rad/s]. Differences are taken from the first, or,
+        without references, from the first identified set.
     """
     drawn = [(name, values, REFERENCES[i % 2]) for i, (name, values) in enumerate(reference.items())]
     drawn += [(name, values, STYLES[i % 3]) for i, (name, values) in enumerate(poles.items())]
@@ -58,7 +58,7 @@ def confidence(sets: Mapping[str, Sequence[PoleInterval]]) -> Figure:
     Parameters
     ----------
     sets
-        Pairs by the test that they are from, slowest first; those of the last are the zero of the axes.
+        Pole pairs of each test, lowest frequency first; differences are taken from the last set.
     """
     drawn = [
         (
@@ -77,7 +77,7 @@ Pair = tuple[float, float, float, float]
 
 
 def _rows(sets: Sequence[tuple[str, Sequence[Pair], dict[str, Any]]], zero: str, centres: Sequence[Pair]) -> Figure:
-    """A row for each of the `centres`, of the set called `zero`: the differences of the pairs of all sets from it."""
+    """Differences of the pairs of all sets from the `centres` (the set named `zero`), a row for each centre."""
     figure = Figure(figsize=(9.0, 1.4 + 0.55 * len(centres)), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
     for axis, quantity, title in zip(axes, (0, 1), ("frequency", "damping ratio"), strict=True):
@@ -106,7 +106,7 @@ def _rows(sets: Sequence[tuple[str, Sequence[Pair], dict[str, Any]]], zero: str,
 
 
 def _difference(centre: Pair, pairs: Sequence[Pair], quantity: int) -> tuple[float, float]:
-    """Relative difference of the pair that is the same mode as the `centre`, and half its 95 % interval; nan: none."""
+    """Relative difference of the pair of the same mode as `centre`, and half its 95 % interval; NaN if none is."""
     nearest = min(pairs, key=lambda pair: abs(pair[0] - centre[0]), default=None)
     if nearest is None or abs(nearest[0] - centre[0]) > SAME * centre[0]:
         return float("nan"), 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's symbols of the rig's signals, for titles, axes and legends."""
+"""The paper's symbols for the rig's signals, used in titles, axes and legends."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a validation: time histories, as in Fig. 6."""
+"""Figures of a validation: time histories as in Fig. 6."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def time_histories(
     Parameters
     ----------
     comparison
-        What to draw.
+        Measured and simulated test.
     channels
         One row each.
     zoom
-        Seconds to show enlarged in a second column.
+        Begin and end [s] of the part enlarged in the second column.
     units
-        In which quantities are drawn.
+        The system of units of the figure.
     tested
         Record and controller, for the caption.
     """
@@ -86,7 +86,7 @@ def control_effect(
     channels
         One row each.
     units
-        In which quantities are drawn.
+        The system of units of the figure.
     tested
         Record and controller, for the caption.
     """

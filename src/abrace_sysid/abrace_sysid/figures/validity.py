@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figure that is to be read first: whether the model can be trusted, and if not, why not and what to do."""
+"""The summary figure of validity: whether the model can be trusted, and if not, why, and what to do."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
 COLOURS = {Verdict.TRUST: "#2a7f62", Verdict.CARE: "#d08c1d", Verdict.DONT: "#b3261e"}
 
 SHORTEST, LONGEST = 0.01, 1000.0
-"""Ends of the bars' axis, in times the limit."""
+"""Ends of the bars' axis, as multiples of the limit."""
 
 SMOOTHED = 15
-"""Lines over which the spectra are averaged."""
+"""Number of lines over which the spectra are averaged."""
 
 WIDTHS = (84, 62)
-"""Characters in a line of the reasons, and of the advice."""
+"""Greatest number of characters in a line of the reasons, and of the advice."""
 
 MOST_LINES = 12
-"""Below the bars and spectra."""
+"""Greatest number of text lines below the bars and spectra."""
 
 
 def validity_figure(validity: Validity, residuals: Sequence[Residual]) -> Figure:
@@ -43,9 +43,9 @@ def validity_figure(validity: Validity, residuals: Sequence[Residual]) -> Figure
     Parameters
     ----------
     validity
-        What was found.
+        The findings.
     residuals
-        Of each test; may be none.
+        The residual of each test; may be empty.
     """
     shown = list(residuals)[:2]
     figure = Figure(figsize=(11.0, 7.6), layout="constrained")
@@ -71,12 +71,12 @@ def validity_figure(validity: Validity, residuals: Sequence[Residual]) -> Figure
 
 
 def worst_of_each(findings: Sequence[Finding]) -> list[Finding]:
-    """Of each check the finding that is worst, in the order of the checks.
+    """The worst finding of each check, in the order of the checks.
 
     Parameters
     ----------
     findings
-        Of all checks.
+        The findings of all checks.
     """
     worst: dict[str, Finding] = {}
     for finding in findings:
@@ -87,7 +87,7 @@ def worst_of_each(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def times_limit(finding: Finding) -> float:
-    """A finding's value over its limit, within the ends of the axis; where any is too much, the verdict decides."""
+    """A finding's value over its limit, clipped to the axis; if the limit is 0, the verdict determines the length."""
     if finding.limit <= 0:
         return LONGEST if finding.verdict else SHORTEST
     return float(np.clip(finding.value / finding.limit, SHORTEST, LONGEST))
@@ -110,7 +110,7 @@ def _bars(axis: Axes, findings: Sequence[Finding]) -> None:
 
 
 def _spectra(axis: Axes, residual: Residual) -> None:
-    """Response, residual and expected noise of the channel that is explained worst."""
+    """Response, residual and expected noise of the channel with the greatest residual over noise."""
     worst = int(np.argmax(residual.ratio.mean(axis=0)))
     frequency = residual.omega / (2 * np.pi)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings on channels of the tests: dead, saturated, with spikes, swapped, late, in a wrong unit or with a wrong sign."""
+"""Findings on channels: dead, saturated, with spikes, swapped, late, in a wrong unit or with a wrong sign."""
 
 from __future__ import annotations
 
