@@ -213,7 +213,7 @@ def residuals(measured: Sequence[FrequencyResponse], fitted: LinearModel) -> Fig
 
 
 def _kinds(names: Sequence[str]) -> dict[str, list[int]]:
-    """Indices of the channels that share a curve: with few channels each has its own, else those of a kind share one."""
+    """Indices of the channels that share a curve: few channels have one each, else one for each kind."""
     if len(names) <= MOST_NAMED:
         return {symbol(name): [i] for i, name in enumerate(names)}
     kinds = {
