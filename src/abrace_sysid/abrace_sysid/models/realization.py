@@ -82,7 +82,9 @@ def unexplained(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.f
 
 @takes_models
 def superpose(parts: Sequence[LinearModel], inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearModel:
-    """Parallel connection z = z1 + z2 + ...: Eqs. (6) and (7). Inputs and outputs that a part lacks count as zero.
+    """Parallel connection z = z1 + z2 + ...: Eqs. (6) and (7).
+
+    A part contributes zero for those of the `inputs` and `outputs` that it lacks.
 
     Raises
     ------

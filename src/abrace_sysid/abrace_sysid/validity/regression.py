@@ -55,5 +55,8 @@ def regression(
 
 
 def leakage(omega: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """(lines, 4) regressors of the leakage in derivatives of a record with unequal ends: a + b i w, a and b complex."""
+    """(lines, 4) regressors at `omega` of the leakage in derivatives of a record with unequal ends: a + b i w.
+
+    a and b are complex.
+    """
     return np.column_stack([np.ones(len(omega)), 1j * np.ones(len(omega)), 1j * omega, omega]).astype(np.complex128)
