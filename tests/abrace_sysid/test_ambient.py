@@ -133,7 +133,10 @@ def test_the_diagram_has_every_order_and_every_mode(tests):
     [
         ({"band": (0.0, 12.0)}, "band 0 to 12 Hz, expected within 0 to 50 Hz, the lower above 0"),
         ({"band": (0.5, 60.0)}, "band 0.5 to 60 Hz, expected within 0 to 50 Hz"),
-        ({"seconds": 20.0}, r"wind: 667 samples in 8 pieces .* use a longer record, or raise the lower end of the band"),
+        (
+            {"seconds": 20.0},
+            r"wind: 667 samples in 8 pieces .* use a longer record, or raise the lower end of the band",
+        ),
         ({"value": np.nan}, "wind: channel a2 has values that are not finite"),
         ({"value": 0.0}, "wind: channel a2 never changes from 0"),
     ],
