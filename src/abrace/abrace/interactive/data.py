@@ -106,7 +106,7 @@ def identify_data(
     hold
         "band": inputs and outputs sampled alike, below half the sample rate; "zero": inputs held between samples.
     band
-        [Hz] that is used; None: ten lines to half the sample rate.
+        [Hz] that is used; None: from 10 / duration to half the sample rate.
 
     Raises
     ------
