@@ -31,8 +31,10 @@ zero.
 | protective stop | nothing: a stop is pressed, or its heartbeat is missing |
 
 A stop that comes over a network is a *protective stop* of stop category 1 in the terms of IEC 60204-1: the motion is
-brought to rest under control, and power stays on. It is never the *emergency stop* of category 0, which removes
-power and which only hardware can provide: a laboratory needs such a button as well, wired to the hydraulics.
+brought to rest under control with power on, and then power is removed. abrace does the first part; the second one is
+for the laboratory's hardware, and where nothing removes power, the stop is one of category 2. It is never the
+*emergency stop* of category 0, which removes power at once and which only hardware can provide: a laboratory needs
+such a button as well, wired to the hydraulics.
 
 ## Every event in every state
 
