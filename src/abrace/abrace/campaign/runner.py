@@ -92,11 +92,7 @@ class Runner:
         for file in (*node.files, parameter_file(folder / f"{step}_{node.name}.yaml", node.parameters)):
             command += ["--params-file", file]
         command += ["-r", f"__ns:=/{self.campaign.name}", "-r", f"__node:={node.name}"]
-        process = group.start(node.name, command, folder / f"{step}_{node.name}.log", self.environment(lockstep))
-        if lockstep:
-            with contextlib.suppress(ProcessLookupError):  # it has ended already
-                # its threads inherit this: one that wakes does not interrupt the node that is publishing to it
-                os.sched_setscheduler(process.group, os.SCHED_BATCH, os.sched_param(0))
+        group.start(node.name, command, folder / f"{step}_{node.name}.log", self.environment(lockstep))
 
     def start_emulator(self, group: ProcessGroup, step: str, lab: Laboratory, seed: int) -> None:
         """Start the emulator of a `lab` with a `seed`, and wait until it samples; `group` and `step` as in `start`."""
