@@ -27,7 +27,7 @@ def rig():
 class Bench:
     """A run in its thread, with all of its samples."""
 
-    def __init__(self, rig, device) -> None:
+    def __init__(self, rig, device, period=PERIOD) -> None:
         self.lock = threading.RLock()
         self.safety = RigSafety()
         self.safety.configure(rig_outputs(rig), PERIOD)
@@ -37,7 +37,7 @@ class Bench:
         self.over = threading.Event()
         device.open()
         self.run = RealTimeRun(
-            self.loop, device, PERIOD, self.lock, self.samples.append, self.over.set, prepare=lambda: None
+            self.loop, device, period, self.lock, self.samples.append, self.over.set, prepare=lambda: None
         )
         self.run.start()
 
@@ -139,6 +139,16 @@ def test_a_device_that_fails_is_a_fault_and_is_still_sent_the_way_to_rest(rig):
     bench.end()
     assert device.safe
     assert device.closed
+
+
+def test_the_answers_to_a_sample_have_until_a_share_of_the_period_after_its_tick(rig):
+    class Late(SimulatedRig):
+        def exchange(self, command, table):
+            return super().exchange(command, table)._replace(age=50.0)
+
+    minute = Bench(rig, Late(rig, 1, by_the_clock=False), period=60.0)
+    minute.until(lambda: len(minute.samples) >= 100)
+    minute.end()
 
 
 def test_an_error_in_the_run_makes_the_device_safe_and_is_told(rig):

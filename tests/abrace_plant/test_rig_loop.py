@@ -207,7 +207,7 @@ def test_a_sender_that_is_too_late_to_act_has_to_be_at_rest_all_the_same(bench):
 
 def reading(bench, missed=0, late=False) -> Reading:
     """The device's next one, that many samples late."""
-    return bench.device.exchange([0.0], 0.0)._replace(missed=missed, late=late)
+    return bench.device.exchange([0.0], 0.0)._replace(missed=missed, age=0.002 if late else 0.0019)
 
 
 def test_a_rig_that_was_held_up_is_a_fault_and_its_samples_are_missing(bench):

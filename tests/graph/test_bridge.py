@@ -8,6 +8,7 @@ import os
 import signal
 import socket
 import subprocess
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,7 +25,8 @@ from abrace_plant.emulator.target import LIFE_TIME, RAMP_TIME
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
+
+    from abrace.processes.group import NodeProcess
 
 DRIVEN = {"rms": 5000.0, "duration": 60.0}
 
@@ -98,6 +100,14 @@ def zero(graph: Any) -> Trigger.Response:
     return graph.call(Trigger, "sensor_bridge/zero_sensors", Trigger.Request())
 
 
+def of_loops(process: NodeProcess) -> int:
+    """How many of its threads have the processors and the priority of its main thread."""
+    threads = [int(task.name) for task in Path(f"/proc/{process.group}/task").iterdir()]
+    given = [(os.sched_getaffinity(each), os.sched_getparam(each).sched_priority) for each in threads]
+    return given.count((os.sched_getaffinity(process.group), os.sched_getparam(process.group).sched_priority))
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two processors: one for the loop alone")
 def test_hardware_that_is_not_there_refuses_the_activation_and_is_taken_at_1_khz_once_it_is(rig, emulate, tmp_path):
     (tmp_path / "none").mkdir()
     missing = device_file(tmp_path / "none")
@@ -106,11 +116,14 @@ def test_hardware_that_is_not_there_refuses_the_activation_and_is_taken_at_1_khz
     device, fast = device_file(tmp_path, timeout=1.0), tmp_path / "fast.yaml"
     rig_file = (CONFIG / "ncree_three_storey.yaml").read_text()
     fast.write_text(rig_file.replace("sample_rate: 500.0", "sample_rate: 1000.0"))
-    rig.start("sensor_bridge", device=str(device), rig=str(fast), late_limit=1000, autostart=False)
+    parameters = {"rig": str(fast), "late_limit": 1000, "autostart": False}
+    parameters |= {"cpu_affinity": [min(os.sched_getaffinity(0))]}
+    bridge = rig.start("sensor_bridge", device=str(device), **parameters)
     assert rig.change_state("sensor_bridge", "configure")
     assert not rig.change_state("sensor_bridge", "activate")
     assert rig.state("sensor_bridge") == "inactive"
     emulate(device, fast)
+    before = of_loops(bridge)
     assert rig.change_state("sensor_bridge", "activate")
     rig.until(lambda: len(rig.responses) > 1000, "samples")
     assert rig.responses[0].sequence == 0
@@ -119,6 +132,7 @@ def test_hardware_that_is_not_there_refuses_the_activation_and_is_taken_at_1_khz
     assert (steps > 0).all()
     assert np.median(np.diff(stamps) / steps) == pytest.approx(1e6, rel=0.02)
     assert {response.state for response in rig.responses} == {Response.RUNNING}
+    assert of_loops(bridge) == before + 1, "the run's thread has processors and priority of the loop"
     _, errors = ending.communicate(timeout=120)
     assert ending.returncode == 2
     (line,) = errors.splitlines()

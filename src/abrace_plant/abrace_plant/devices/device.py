@@ -29,8 +29,8 @@ class Reading(NamedTuple):
     """Bit i is set where channel i is at the end of its range."""
     missed: int
     """Ticks of the hardware since the last reading that were not answered in time."""
-    late: bool = False
-    """Whether it was taken a sample period late or more."""
+    age: float = 0.0
+    """Seconds since that tick. Its answers have so much less time; at a sample period or more the reading is late."""
 
 
 class Device(Protocol):

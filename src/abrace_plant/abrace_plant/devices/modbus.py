@@ -185,7 +185,7 @@ class ModbusDevice:
         raw = self._read()
         stamp = (begun + time.time_ns()) // 2 - round(1e9 * self.calibration.delay)
         values, clipped = self.calibration.measured(raw)
-        return Reading(values, stamp, clipped, missed)
+        return Reading(values, stamp, clipped, missed, time.monotonic() - self._tick)
 
     def make_safe(self) -> None:
         """Bring the outputs to zero within `RAMP_TIME`, unless the device does not take them."""

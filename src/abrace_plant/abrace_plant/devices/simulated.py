@@ -73,7 +73,7 @@ class SimulatedRig:
 
     def exchange(self, command: Sequence[float], table: float) -> Reading:
         """Wait for the next sample; `command` and `table` act from its instant on."""
-        missed = late = 0
+        missed, age = 0, 0.0
         stamp = round(self._samples * self._period * 1e9)
         if self._by_the_clock:
             if self._samples == 1:
@@ -83,16 +83,17 @@ class SimulatedRig:
             if delay > 0:
                 time.sleep(delay)
                 delay = self._start + self._samples * self._period - time.monotonic()
-            late = int(-delay / self._period)
-            if -delay > LONGEST_CATCH_UP:
-                missed = late
+            age = max(0.0, -delay)
+            if age > LONGEST_CATCH_UP:
+                missed = int(age / self._period)
+                age -= missed * self._period
             stamp = time.time_ns()
         for _ in range(1 + missed):
             self._true[:-1] = self._motion.outputs(table, np.asarray(command))[self._measured_outputs]
         self._samples += 1 + missed
         self._true[-1] = self._motion.ground_acceleration
         values = self._measurement.read(self._true)
-        return Reading(values, stamp, 0, missed, late > 0)
+        return Reading(values, stamp, 0, missed, age)
 
     def make_safe(self) -> None:
         """Do nothing: a model needs no protection."""

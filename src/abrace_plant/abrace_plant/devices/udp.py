@@ -196,9 +196,8 @@ class UdpDevice:
     def exchange(self, command: Sequence[float], table: float) -> Reading:
         """Send `command` (groups,) [N] and the `table`'s acceleration [m/s^2]; wait for the target's next sample.
 
-        Of samples that have arrived already the oldest is taken that is not stale; `late` says that it is a period old.
-        `missed` counts those that were stale or lost on the way. After a pause longer than the time-out the newest one
-        is taken.
+        Of samples that have arrived already the oldest is taken that is not stale. `missed` counts those that were
+        stale or lost on the way. After a pause longer than the time-out the newest one is taken.
 
         Raises
         ------
@@ -222,7 +221,7 @@ class UdpDevice:
             self._exchanged = 0.0
             raise DeviceError(f"{self._name}: has not taken a command for {1e3 * self.file.timeout:g} ms")
         values, clipped = self.calibration.measured(np.array(content.signals, dtype=np.float64))
-        return Reading(values, self._stamp, clipped, self._ticks - 1, self._late)
+        return Reading(values, self._stamp, clipped, self._ticks - 1, self._age)
 
     def make_safe(self) -> None:
         """Tell the target to bring force and table to rest by itself, and send nothing more: its life counter stops.
@@ -252,7 +251,7 @@ class UdpDevice:
         self._answered: int | None = None
         self._waiting: deque[tuple[Content, int, int]] = deque()
         self._stamp = self._newest = self._since = self._ticks = 0
-        self._late = False
+        self._age = 0.0
         self.calibration.reset()
 
     def _send(self, outputs: list[float], enable: bool) -> None:
@@ -280,7 +279,7 @@ class UdpDevice:
                     self.dropped["stale"] += 1
                 elif not (newest and self._waiting):
                     self.samples += 1
-                    self._stamp, self._late = stamp, age >= self._period and not newest
+                    self._stamp, self._age = stamp, 1e-9 * age
                     return content
             wait = deadline - time.monotonic()
             if wait <= 0:

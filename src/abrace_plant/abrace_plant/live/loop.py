@@ -161,6 +161,7 @@ class RigLoop:
         lockstep: bool,
     ) -> None:
         timeout = max(1, round(command_timeout * rig.sample_rate))
+        self._period = 1 / rig.sample_rate
         self._device, self._safety = device, safety
         braces, table = safety.outputs
         assert isinstance(braces, CommandGuard)
@@ -236,8 +237,9 @@ class RigLoop:
         self.sequence += 1 + missed
         self._stamps.append((reading.stamp, self.sequence))
         self.missed += missed
-        self.late += reading.late
-        self._late_in_a_row = self._late_in_a_row + 1 if reading.late else 0
+        late = reading.age >= self._period
+        self.late += late
+        self._late_in_a_row = self._late_in_a_row + 1 if late else 0
         clipped = reading.clipped | self._over_range.check(reading.values)
         if clipped:
             for i, name in enumerate(self._names):
@@ -274,7 +276,7 @@ class RigLoop:
             flags |= TABLE_LIMITED
         if safety.pressed:
             flags |= STOP_PRESSED
-        if reading.late:
+        if self._late_in_a_row:
             flags |= LATE
         if self.ending and safety.at_rest and not any(self._until_now):
             flags |= LAST

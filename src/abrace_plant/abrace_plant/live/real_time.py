@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from abrace_plant.live.loop import RigLoop, Sample
 
 ANSWER_SHARE = 0.8
-"""Share of the sample period within which answers to a sample must arrive; later ones act a sample later."""
+"""Share of the sample period after its tick within which answers to a sample must arrive; later ones act a sample
+later."""
 
 
 class RealTimeRun(threading.Thread):
@@ -74,20 +75,19 @@ class RealTimeRun(threading.Thread):
 
     def _run(self) -> None:
         loop, period, monotonic = self._loop, self._period, time.monotonic
-        last, samples, late = monotonic(), 1, False
+        tick, samples = monotonic(), 1
         while not loop.ended:
             with self._answered:
-                if not late:
-                    self._answered.wait_for(loop.all_answered, last + ANSWER_SHARE * period - monotonic())
+                self._answered.wait_for(loop.all_answered, tick + ANSWER_SHARE * period - monotonic())
                 force, table = loop.act(samples)
             try:
                 reading = self._device.exchange(force, table)
             except DeviceError as error:
                 now = monotonic()
-                last, samples = now, max(1, round((now - last) / period))
+                tick, samples = now, max(1, round((now - tick) / period))
                 with self._answered:
                     loop.fail(str(error), samples)
                 continue
-            last, samples, late = monotonic(), 1 + reading.missed, reading.late
+            tick, samples = monotonic() - reading.age, 1 + reading.missed
             with self._answered:
                 self._publish(loop.take(reading))

@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 from abrace_core.errors import AbraceError
 from abrace_core.node import Parameter, find_file, run
 from abrace_plant.devices.calibration import Calibration, write_calibration
-from abrace_plant.devices.device import Device, DeviceError
+from abrace_plant.devices.device import Device, DeviceError, Reading
 from abrace_plant.devices.file import calibration_of, commands_of, load_device
 from abrace_plant.devices.zeroing import Zeroing, check_names
 from abrace_plant.live.loop import Sample
@@ -32,7 +32,9 @@ killed. A target follows commands only after a zero command."""
 ZEROS_PATIENCE = 1.0
 """Seconds of failure during the zero commands after which the activation is refused."""
 WARM_UP = 5
-"""Samples that the thread of a run takes before the first one that is published."""
+"""Samples in a row that the thread of a run must take in time before the first one that is published."""
+WARM_UP_TIME = 1.0
+"""Seconds after which the run begins even if it is not in time; it is then a fault as soon as something acts."""
 ZEROING_TIME = 1.0
 """Seconds of readings whose mean is zeroed."""
 PATIENCE = 2.0
@@ -78,14 +80,16 @@ class SensorBridge(RigNode):
                     raise
 
     def prepare(self) -> None:
-        """Discard the samples that have arrived since the device was opened, so that the run begins at a tick."""
+        """Set up the thread, and discard the samples that have arrived since the device was opened: begin in time."""
+        super().prepare()
+        in_time, latest = 0, time.monotonic() + WARM_UP_TIME
         with contextlib.suppress(DeviceError):  # the first sample of the run will meet the same error
-            for _ in range(WARM_UP):
-                self.command_zero()
+            while in_time < WARM_UP and time.monotonic() < latest:
+                in_time = in_time + 1 if self.command_zero().age < 1 / self.rig.sample_rate else 0
 
-    def command_zero(self) -> None:
+    def command_zero(self) -> Reading:
         """Exchange a sample for a command of zero."""
-        self.device.exchange([0.0] * self.rig.groups, 0.0)
+        return self.device.exchange([0.0] * self.rig.groups, 0.0)
 
     def publish_sample(self, sample: Sample) -> None:
         """Publish a sample, and keep it where sensors are being zeroed."""
