@@ -6,8 +6,11 @@ import pytest
 from laboratory import Laboratory
 
 from abrace_core.linear_model import load_model, pole_table, save_model
+from abrace_sysid.fitting.options import IdentificationOptions
+from abrace_sysid.identification import identify
 from abrace_sysid.nonlinear.elements import Element, Nonlinearity
 from abrace_sysid.nonlinear.estimation import find_elements
+from abrace_sysid.nonlinear.identified import elements_of_tests
 from abrace_sysid.validation import compare
 
 
@@ -53,6 +56,19 @@ def test_elements_are_found_in_newtons_and_predict_a_test_that_was_not_used(rig,
         assert linear["a1"] > 0.03, "friction and backlash were expected to show"
         assert better["a1"] < 0.4 * linear["a1"], (law, linear, better)
         assert better["x3"] < 0.5 * linear["x3"], (law, linear, better)
+
+
+def test_of_an_identified_model_only_the_friction_that_there_is_is_named(rig):
+    laboratory = Laboratory(replace(rig, building=replace(rig.building, friction=(0.0, 50.0, 0.0))), 5)
+    ground, command = Laboratory._noise(60, 10.0, 0.25, 77), Laboratory._noise(60, 30.0, 1800.0, 78)
+    table = [laboratory.open_loop("bags/table", ground, 0 * ground)]
+    found = identify(table, [laboratory.open_loop("bags/command", 0 * ground, command)])
+    shown = elements_of_tests(found, IdentificationOptions(), {"friction"})
+    assert shown is not None
+    (friction,) = shown.elements
+    assert friction.name == "friction 2"
+    assert friction.limit == pytest.approx(50.0, rel=0.1)
+    assert shown.masses == pytest.approx(rig.building.masses, rel=0.02)
 
 
 def begin_of(run, samples=20_000):

@@ -13,6 +13,8 @@ from abrace_plant.rig.file import load_rig
 from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.identification import identify
 from abrace_sysid.validation import compare
+from abrace_sysid.validity.mechanics import floor_masses
+from abrace_sysid.validity.motion import Motion
 
 OPTIONS = IdentificationOptions(table_band=(0.3, 25.0))
 SECONDS = 100
@@ -76,6 +78,15 @@ def test_two_brace_groups_are_identified_with_modes_common_to_all_tests(five, re
     error = compare(other, found.model, None, five.capacity).noise_free_error()
     assert max(error[name] for name in other.names) < 0.015, error
     assert found.reduced.is_stable()
+
+
+def test_floor_masses_follow_from_all_tests_together_also_with_friction(five, rest):
+    worn = replace(five, building=replace(five.building, friction=(0.0, 0.0, 0.0, 300.0, 0.0)))
+    ground = Laboratory._noise(SECONDS, 25.0, 0.25, 3)
+    tests = [Laboratory(worn, 1).open_loop("bags/table", ground, np.column_stack([rest, rest]))]
+    tests += commands_of(worn, rest, "each group alone")
+    masses = floor_masses([(Motion.of(test, 25.0), OPTIONS.table_band) for test in tests])
+    assert [masses[floor] for floor in range(1, 6)] == pytest.approx(five.building.masses, rel=0.03)
 
 
 def test_a_group_that_no_test_excites_is_named(five, rest, table):

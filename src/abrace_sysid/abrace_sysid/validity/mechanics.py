@@ -22,6 +22,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import linalg
 
 from abrace_core import signals
 from abrace_sysid.validity.regression import leakage, regression
@@ -106,17 +107,18 @@ class _Floor:
 
 
 @dataclass(frozen=True)
-class _Balance:
-    """The fitted equations of the floors in one test, by number, and the floors' displacements, lowest first."""
+class _Test:
+    """A test, the band [Hz] in which the equations hold, and the spectra in them, storeys and groups lowest first."""
 
     motion: Motion
     band: tuple[float, float]
     displacements: Sequence[NDArray[np.complex128]]
-    floors: dict[int, _Floor]
+    forces: Sequence[NDArray[np.complex128]]
+    signs: Sequence[NDArray[np.complex128]]
 
     @classmethod
-    def of(cls, motion: Motion, band: tuple[float, float]) -> _Balance | None:
-        """Fit the floors' equations in a test; None if a floor has neither a displacement nor an acceleration."""
+    def of(cls, motion: Motion, band: tuple[float, float]) -> _Test | None:
+        """None if a floor has neither a displacement nor an acceleration."""
         numbers = range(1, motion.floors + 1)
         displacements = [one for number in numbers if (one := motion.displacement(number)) is not None]
         if len(displacements) < motion.floors:
@@ -125,21 +127,24 @@ class _Balance:
         drifts = [displacements[0], *(one - below for below, one in pairwise(displacements))]
         rates = [motion.series(1j * motion.omega * drift, (band[0], FASTEST * band[1])) for drift in drifts]
         signs = [motion.spectrum(np.sign(rate)) for rate in rates]
-        accelerations = {number: motion.spectra.get(f"a{number}") for number in numbers}
-        floors = {
-            number: _equation(motion, acceleration, displacements, forces, signs, band)
-            for number, acceleration in accelerations.items()
-            if acceleration is not None
-        }
-        return cls(motion, band, displacements, floors)
+        return cls(motion, band, displacements, forces, signs)
 
     @property
-    def surest(self) -> float:
-        """Greatest brace force coefficient of all floors, in standard deviations; 0 without load cells."""
-        return max(
-            (float(np.max(np.abs(one.force) / one.force_deviation, initial=0)) for one in self.floors.values()),
-            default=0.0,
-        )
+    def lines(self) -> NDArray[np.int64]:
+        """Numbers of the lines within the band."""
+        return self.motion.within(self.band)
+
+    @property
+    def omega(self) -> NDArray[np.float64]:
+        """Frequencies of these lines [rad/s]."""
+        return self.motion.omega[self.lines]
+
+    def columns(self) -> NDArray[np.complex128]:
+        """(lines, regressors) of a floor's equation."""
+        lines, omega = self.lines, self.omega
+        linear = [one[lines] for one in (*self.displacements, *self.forces)]
+        columns = [*linear, *(1j * omega * one for one in linear), *(-(omega**2) * one[lines] for one in self.forces)]
+        return np.column_stack([*columns, *(one[lines] for one in self.signs)])
 
 
 def storey_frictions(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[tuple[str, StoreyFriction]]:
@@ -150,63 +155,62 @@ def storey_frictions(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> lis
     tests
         Each test with the band [Hz] in which its floors' equations are fitted.
     """
-    balances = [balance for motion, band in tests if (balance := _Balance.of(motion, band)) is not None]
-    # in some tests the braces' forces are below their noise: use the masses of the test that determines them best
-    masses = _masses(max(balances, key=lambda balance: balance.surest)) if balances else {}
-    return [
-        (balance.motion.source, _friction(balance, storey, masses)) for balance in balances for storey in balance.floors
-    ]
+    masses = floor_masses(tests)
+    found = []
+    for motion, band in tests:
+        if test := _Test.of(motion, band):
+            floors = _floors([test])
+            found += [(motion.source, _friction(test, floors, storey, masses)) for storey in floors]
+    return found
 
 
 def floor_masses(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> dict[int, float]:
-    """Masses [kg] of floors by number, from the test that determines them best; empty without load cells.
+    """Masses [kg] of floors by number, from all tests with load cells together; empty without any.
 
     Parameters
     ----------
     tests
         As in `storey_frictions`.
     """
-    balances = [balance for motion, band in tests if (balance := _Balance.of(motion, band)) is not None]
-    return _masses(max(balances, key=lambda balance: balance.surest)) if balances else {}
+    each = [_Test.of(motion, band) for motion, band in tests]
+    usable = [test for test in each if test is not None and len(test.forces) == test.motion.groups]
+    return _masses(usable, _floors(usable)) if usable else {}
 
 
-def _equation(
-    motion: Motion,
-    acceleration: NDArray[np.complex128],
-    displacements: Sequence[NDArray[np.complex128]],
-    forces: Sequence[NDArray[np.complex128]],
-    signs: Sequence[NDArray[np.complex128]],
-    band: tuple[float, float],
-) -> _Floor:
-    lines = motion.within(band)
-    omega = motion.omega[lines]
-    linear = [one[lines] for one in (*displacements, *forces)]
-    columns = [*linear, *(1j * omega * one for one in linear), *(-(omega**2) * one[lines] for one in forces)]
-    columns += [one[lines] for one in signs]
+def _floors(tests: Sequence[_Test]) -> dict[int, _Floor]:
+    """The equations of the floors with an accelerometer in `tests`, by number."""
+    return {
+        number: _equation(tests, f"a{number}")
+        for number in range(1, tests[0].motion.floors + 1)
+        if all(f"a{number}" in test.motion.spectra for test in tests)
+    }
+
+
+def _equation(tests: Sequence[_Test], acceleration: str) -> _Floor:
+    measured = np.concatenate([test.motion.spectra[acceleration][test.lines] for test in tests])
+    columns = np.vstack([test.columns() for test in tests])
     # leave out forces that are zero throughout
-    moving = [k for k, column in enumerate(columns) if np.any(column)]
-    stacked = np.column_stack([*(columns[k] for k in moving), leakage(omega)])
-    coefficients, deviations = np.zeros(len(columns)), np.full(len(columns), np.inf)
-    values = regression(acceleration[lines], stacked)
+    moving = np.flatnonzero(np.any(columns, axis=0))
+    ends = linalg.block_diag(*(leakage(test.omega) for test in tests))
+    values = regression(measured, np.hstack([columns[:, moving], ends]))
+    coefficients, deviations = np.zeros(columns.shape[1]), np.full(columns.shape[1], np.inf)
     coefficients[moving], deviations[moving] = (one[: len(moving)] for one in values)
-    end, count = len(displacements), len(forces)
+    end, count, storeys = len(tests[0].displacements), len(tests[0].forces), len(tests[0].signs)
     return _Floor(
         -coefficients[:end],
         coefficients[end : end + count],
         deviations[end : end + count],
-        coefficients[-len(signs) :],
-        deviations[-len(signs) :],
+        coefficients[-storeys:],
+        deviations[-storeys:],
     )
 
 
-def _masses(balance: _Balance) -> dict[int, float]:
+def _masses(tests: Sequence[_Test], floors: dict[int, _Floor]) -> dict[int, float]:
     """Masses [kg] of floors by number: first of the floor on which a brace acts most, then of its neighbours."""
-    motion, floors = balance.motion, balance.floors
-    if any(len(one.force) < motion.groups for one in floors.values()):
-        return {}
+    motion = tests[0].motion
     masses: dict[int, float] = {}
     for group, count in enumerate(motion.braces):
-        cosine = _cosine(balance, group)
+        cosine = _cosine(tests, group)
         for number, floor in floors.items():
             share, deviation = abs(floor.force[group]), floor.force_deviation[group]
             if cosine and share > LEAST_T * deviation:
@@ -225,29 +229,30 @@ def _masses(balance: _Balance) -> dict[int, float]:
     return known
 
 
-def _cosine(balance: _Balance, group: int) -> float | None:
+def _cosine(tests: Sequence[_Test], group: int) -> float | None:
     """The cosine of a group's braces: their stroke over the drift that they span."""
-    motion = balance.motion
-    stroke = motion.spectra.get(signals.numbered("xf", motion.groups)[group])
-    if stroke is None:
+    name = signals.numbered("xf", tests[0].motion.groups)[group]
+    tests = [test for test in tests if name in test.motion.spectra]
+    if not tests:
         return None
-    lines = motion.within(balance.band)
-    columns = np.column_stack([*(one[lines] for one in balance.displacements), leakage(motion.omega[lines])])
-    return float(np.abs(regression(stroke[lines], columns)[0][: motion.floors]).max())
+    stroke = np.concatenate([test.motion.spectra[name][test.lines] for test in tests])
+    columns = np.vstack([np.column_stack([one[test.lines] for one in test.displacements]) for test in tests])
+    ends = linalg.block_diag(*(leakage(test.omega) for test in tests))
+    return float(np.abs(regression(stroke, np.hstack([columns, ends]))[0][: columns.shape[1]]).max())
 
 
-def _friction(balance: _Balance, storey: int, masses: dict[int, float]) -> StoreyFriction:
-    motion, own, below = balance.motion, balance.floors[storey], balance.floors.get(storey - 1)
+def _friction(test: _Test, floors: dict[int, _Floor], storey: int, masses: dict[int, float]) -> StoreyFriction:
+    motion, own, below = test.motion, floors[storey], floors.get(storey - 1)
     acceleration, deviation = float(-own.sign[storey - 1]), float(own.sign_deviation[storey - 1])
     opposite = float("nan")
     if below is not None:
         opposite = float(below.sign[storey - 1] / below.sign_deviation[storey - 1])
     mass = masses.get(storey, float("nan"))
     # equivalent viscous damping of a storey, c = sqrt(2 / pi) F / rms of the drift's rate, over twice sqrt(k m)
-    above = [floor for floor in range(storey, motion.floors + 1) if floor in balance.floors]
+    above = [floor for floor in range(storey, motion.floors + 1) if floor in floors]
     shear = sum(
         (masses[floor] / mass if floor in masses and storey in masses else 1.0)
-        * motion.series(motion.spectra[f"a{floor}"], balance.band)
+        * motion.series(motion.spectra[f"a{floor}"], test.band)
         for floor in above
     )
     damping = np.sqrt(2 / np.pi) * acceleration / (2 * float(np.std(shear)))
