@@ -87,7 +87,7 @@ def worst_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
                 f"{evaluation.margins[name]:.3g}" if name in evaluation.margins else "-" for evaluation in evaluations
             )
             rows += ((label, *cells),)
-    return Table(title, ("worst of the cases", *(one.name for one in evaluations)), rows, (CAUTION,))
+    return Table(title, ("greatest of the cases", *(one.name for one in evaluations)), rows, (CAUTION,))
 
 
 def case_tables(evaluations: Sequence[Evaluation]) -> list[Table]:

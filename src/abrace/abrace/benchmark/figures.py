@@ -33,7 +33,7 @@ def criteria_figure(title: str, evaluations: Sequence[Evaluation]) -> Figure:
         axis.bar(places, [worst[name] for name in OF_RESPONSE], width, color=colour, label=evaluation.name)
     axis.axhline(1.0, color=REFERENCE, linewidth=1)
     axis.set_xticks(range(len(OF_RESPONSE)), OF_RESPONSE)
-    axis.set_ylabel("worst of the cases, without control 1")
+    axis.set_ylabel("ratio to the response without control")
     legend_above(figure, axis, len(evaluations))
     return captioned(figure, f"{title}: worst of J1 to J6 over the cases; 1 is without control.")
 
@@ -62,7 +62,7 @@ def profile_figure(title: str, case: str, uncontrolled: Profile, evaluations: Se
         axes[1].plot(profile.acceleration, levels, "o-", color=colour, markersize=3, linewidth=1)
     axes[0].set_xlabel("greatest drift (% of the storey's height)")
     axes[1].set_xlabel("greatest acceleration (m/s²)")
-    axes[0].set_ylabel("level")
+    axes[0].set_ylabel("storey, floor")
     axes[0].yaxis.set_major_locator(MaxNLocator(integer=True))
     for axis in axes:
         axis.set_xlim(left=0)

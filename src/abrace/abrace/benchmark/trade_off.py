@@ -56,7 +56,7 @@ def trade_off_figure(benchmark: FrameBenchmark, tried: list[Evaluation], sample:
     for name, colour in zip(OF_RESPONSE, COLOURS, strict=True):
         response.plot(force, [one.worst()[name] for one in tried], "o-", color=colour, markersize=3, label=name)
         response.plot(at, sample.worst()[name], "x", color=colour)
-    response.set_ylabel("worst of the cases (cross: sample)")
+    response.set_ylabel("greatest ratio of the cases")
     for axis, name, label in ((gain, "gain_margin_db", "gain margin (dB)"), (disk, "disk_margin", "disk margin")):
         axis.plot(force, [one.margins[name] for one in tried], "o-", color=COLOURS[0], markersize=3)
         axis.plot(at, sample.margins[name], "x", color=REFERENCE)

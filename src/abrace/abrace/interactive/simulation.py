@@ -98,7 +98,7 @@ def simulate(
         If record, controller and structure do not fit each other, or the record is more than the rig's table has.
     """
     if controller is not None and command is not None:
-        raise AbraceError("simulate: controller and command, expected one of both")
+        raise AbraceError("simulate: controller and command, expected one of them")
     rig = _rig_or_none(structure)
     if rig is not None:
         period = 1 / rig.sample_rate
@@ -110,7 +110,7 @@ def simulate(
     groups = rig.groups if rig is not None else len(model.inputs) - 1
     forces = _commands(command, 1 / period, duration, groups, seed)
     if ground is None and forces is None:
-        raise AbraceError("simulate: neither record nor command, expected one of both")
+        raise AbraceError("simulate: neither record nor command, expected at least one")
     samples = max(len(each) for each in (ground, forces) if each is not None)
     ground, forces = _padded(ground, (samples,)), _padded(forces, (samples, groups))
     if rig is None:

@@ -49,7 +49,7 @@ def trade_off(outcomes: Sequence[Outcome], picked: Sequence[int] = ()) -> Figure
             values = factor * np.array([getattr(outcome.margins, margin) for outcome in found])
             finite = values[np.isfinite(values)]
             highest = float(np.quantile(finite, COLOUR_QUANTILE)) if len(finite) else 1.0
-            axis.plot(force[front], response[front], color=MEASURED, linewidth=1, label="front")
+            axis.plot(force[front], response[front], color=MEASURED, linewidth=1, label="Pareto front")
             points = axis.scatter(force, response, 14, np.minimum(values, highest), cmap="viridis", zorder=2)
             for outcome, x, y in zip(found, force, response, strict=True):
                 if outcome.number == 0:

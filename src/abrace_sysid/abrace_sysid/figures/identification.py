@@ -127,7 +127,7 @@ def hankel_singular_values(values: NDArray[np.float64], kept: int) -> Figure:
     shown = np.maximum(values, 1e-8 * values[0])
     number = np.arange(1, len(values) + 1)
     axis.bar(number[:kept], shown[:kept], color=SIMULATED, label=f"kept ({kept})")
-    axis.bar(number[kept:], shown[kept:], color=REFERENCE, label="cut")
+    axis.bar(number[kept:], shown[kept:], color=REFERENCE, label=f"truncated ({len(values) - kept})")
     axis.set_yscale("log")
     axis.set_ylim(shown.min() / 2, shown.max() * 2)
     axis.set_xticks(number[:: max(1, len(number) // 12)])

@@ -105,7 +105,7 @@ def _bars(axis: Axes, findings: Sequence[Finding]) -> None:
     plain_ticks(axis.xaxis, SHORTEST, LONGEST)
     axis.set_yticks(rows, [finding.check for finding in shown])
     axis.set_ylim(len(shown) - 0.4, -0.6)
-    axis.set_xlabel("found, times the limit [-]")
+    axis.set_xlabel("value over its limit [-]")
     axis.grid(axis="x", alpha=0.3)
 
 
@@ -118,14 +118,14 @@ def _spectra(axis: Axes, residual: Residual) -> None:
         return np.sqrt(np.convolve(power, np.ones(SMOOTHED) / SMOOTHED, "same"))
 
     axis.semilogy(frequency, level(np.abs(residual.measured[:, worst]) ** 2), color=MEASURED, lw=1.0, label="measured")
-    axis.semilogy(frequency, level(np.abs(residual.left[:, worst]) ** 2), color=SIMULATED, lw=1.0, label="left over")
+    axis.semilogy(frequency, level(np.abs(residual.left[:, worst]) ** 2), color=SIMULATED, lw=1.0, label="residual")
     axis.semilogy(frequency, level(residual.noise[:, worst]), color=REFERENCE, lw=1.4, label="noise of the sensors")
     axis.set_title(f"{symbol(residual.outputs[worst])}, {residual.source}", fontsize="medium", loc="left")
     axis.set_xlabel("frequency [Hz]")
     name, unit = residual.outputs[worst], ""
     if RIG.match(name):
         unit = f" [{signals.unit(name)}" + ("]" if residual.excited else f" / ({signals.unit(residual.inputs[0])})]")
-    axis.set_ylabel(f"amplitude of a line{unit}")
+    axis.set_ylabel(f"amplitude at a line{unit}")
     axis.set_xlim(frequency[0], frequency[-1])
     axis.grid(alpha=0.3)
     axis.legend(fontsize="small", ncols=3, loc="upper right")
