@@ -13,8 +13,10 @@ from abrace_plant.rig.file import load_rig
 from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.identification import identify
 from abrace_sysid.validation import compare
-from abrace_sysid.validity.mechanics import floor_masses
+from abrace_sysid.validity.kinematics import kinematics
+from abrace_sysid.validity.mechanics import backlashes, floor_masses
 from abrace_sysid.validity.motion import Motion
+from abrace_sysid.validity.rig_findings import backlash
 
 OPTIONS = IdentificationOptions(table_band=(0.3, 25.0))
 SECONDS = 100
@@ -87,6 +89,24 @@ def test_floor_masses_follow_from_all_tests_together_also_with_friction(five, re
     tests += commands_of(worn, rest, "each group alone")
     masses = floor_masses([(Motion.of(test, 25.0), OPTIONS.table_band) for test in tests])
     assert [masses[floor] for floor in range(1, 6)] == pytest.approx(five.building.masses, rel=0.03)
+
+
+def test_a_clearance_greater_than_the_stroke_is_backlash_and_no_fault_of_a_sensor(five, rest):
+    first, second = five.braces
+    worn = replace(five, braces=(first, replace(second, backlash=2e-4)))
+    ground = Laboratory._noise(SECONDS, 25.0, 0.25, 3)
+    tests = [Laboratory(worn, 1).open_loop("bags/table", ground, np.column_stack([rest, rest]))]
+    tests += commands_of(worn, rest, "each group alone")
+    motions = [Motion.of(test, 25.0) for test in tests]
+    assert np.std(motions[-1].series(motions[-1].spectra["xf2"], (0.3, 25.0))) < 2e-4
+    for motion in motions:
+        found = kinematics(motion, OPTIONS.table_band)
+        assert not found.changes
+        assert max(found.contradictions.values()) < 0.01
+    findings = backlash([(motion, OPTIONS.table_band) for motion in motions])
+    assert [finding.cause for finding in findings] == ["backlash"]
+    assert findings[0].where == "brace group 2"
+    assert backlashes(motions[-1], OPTIONS.table_band)[1].clearance == pytest.approx(2e-4, rel=0.15)
 
 
 def test_a_group_that_no_test_excites_is_named(five, rest, table):

@@ -311,7 +311,7 @@ def test_the_figure_has_the_verdict_on_top_and_a_bar_for_each_check(judged):
     texts = [text.get_text() for part in figure.subfigs for text in part.texts]
     assert texts[0] == "Don't trust: wrong unit, friction"
     assert any("Correct it" in text and "Free it" in text for text in texts)
-    (bars,) = (axis for axis in figure.axes if axis.get_xlabel() == "found, times the limit [-]")
+    (bars,) = (axis for axis in figure.axes if axis.get_xlabel() == "value over its limit [-]")
     checks = [finding.check for finding in worst_of_each(validity.findings)]
     assert [label.get_text() for label in bars.get_yticklabels()] == checks
     # without a model: no spectra

@@ -5,9 +5,10 @@ No model is needed. Absolute acceleration minus the table's is the second deriva
 
     a_i - w = x_i'',
 
-a brace's stroke is the drift that it spans times its cosine, and its force follows its command. In the first mode all
-floors move in phase, the higher ones further. If this does not hold, possible faults are tried one after the other:
-channels swapped, in another unit, or reversed. The finding is the fault whose correction makes the channels agree.
+a brace's stroke is the drift that it spans times its cosine, but for the clearance of its pins, and its force follows
+its command. In the first mode all floors move in phase, the higher ones further. If this does not hold, possible faults
+are tried one after the other: channels swapped, in another unit, or reversed. The finding is the fault whose correction
+makes the channels agree.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core import signals
+from abrace_sysid.validity.mechanics import side_of_clearance
 from abrace_sysid.validity.regression import leakage, regression
 
 if TYPE_CHECKING:
@@ -52,7 +54,8 @@ IMPROVEMENT = 0.5
 """A change is accepted if it removes more than this share of all contradictions."""
 
 LOOSE = 0.2
-"""This share of a stroke's power need not follow from the floors' displacements; backlash of 0.5 mm causes 0.04."""
+"""This share of a stroke's power need not follow from the floors' displacements and the side on which the rod rests in
+the pins' clearance; a clearance as large as the rms stroke causes 0.06."""
 
 COSINES = (0.2, 1.1)
 """Possible ratios of stroke to drift."""
@@ -213,13 +216,15 @@ def _of_braces(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str, 
     floors = [f"x{floor}" for floor in range(1, motion.floors + 1) if f"x{floor}" in motion.spectra]
     omega = motion.omega[lines]
     commands = signals.command_names(motion.groups)
-    driven = [name for name in commands if np.any(motion.spectra[name])]
+    driven = [name for group, name in enumerate(commands, 1) if motion.driven(group)]
     for group in range(motion.groups):
         stroke, force = (signals.numbered(letter, motion.groups)[group] for letter in ("xf", "f"))
         if stroke in motion.spectra and len(floors) == motion.floors:
-            share, coefficients = _explained(
-                motion.spectra[stroke][lines], [motion.spectra[n][lines] for n in floors], omega
-            )
+            by = [motion.spectra[name][lines] for name in floors]
+            if force in motion.spectra:
+                by.append(side_of_clearance(motion, force, omega[-1] / (2 * np.pi))[lines])
+            share, coefficients = _explained(motion.spectra[stroke][lines], by, omega)
+            coefficients = coefficients[: motion.floors]
             # the stroke has the sign of the displacement of the upper of the two floors that the brace spans
             upper = np.flatnonzero(np.abs(coefficients) > 0.5 * np.abs(coefficients).max())[-1]
             possible = COSINES[0] < coefficients[upper] < COSINES[1]

@@ -259,6 +259,21 @@ def _friction(test: _Test, floors: dict[int, _Floor], storey: int, masses: dict[
     return StoreyFriction(storey, acceleration, deviation, opposite, mass * acceleration, float(damping))
 
 
+def side_of_clearance(motion: Motion, force: str, highest: float) -> NDArray[np.complex128]:
+    """(lines,) spectrum of the side on which a rod rests in its clearance, 1 or -1: the sign of its force.
+
+    Parameters
+    ----------
+    motion
+        A test.
+    force
+        Name of the brace's force.
+    highest
+        End of the band [Hz] in which the stroke's equation is fitted.
+    """
+    return motion.spectrum(np.sign(motion.series(motion.spectra[force], (0.0, FASTEST_FORCE * highest))))
+
+
 def backlashes(motion: Motion, band: tuple[float, float]) -> tuple[Backlash, ...]:
     """The clearance of the pins of each brace group whose stroke and load cells respond.
 
@@ -279,10 +294,8 @@ def backlashes(motion: Motion, band: tuple[float, float]) -> tuple[Backlash, ...
     for group, (stroke, force) in enumerate(names, 1):
         if stroke not in motion.spectra or force not in motion.spectra or not displacements:
             continue
-        own = motion.spectra[force]
-        side = motion.spectrum(np.sign(motion.series(own, (0.0, FASTEST_FORCE * band[1]))))
-        linear = [one[lines] for one in (*displacements, own)]
-        columns = [side[lines], *linear, *(1j * omega * one for one in linear)]
+        linear = [one[lines] for one in (*displacements, motion.spectra[force])]
+        columns = [side_of_clearance(motion, force, band[1])[lines], *linear, *(1j * omega * one for one in linear)]
         coefficients, deviations = regression(
             motion.spectra[stroke][lines], np.column_stack([*columns, leakage(omega)])
         )

@@ -124,6 +124,10 @@ class Motion:
         """The same test without the channels of these `names`."""
         return replace(self, spectra={name: one for name, one in self.spectra.items() if name not in names})
 
+    def driven(self, group: int) -> bool:
+        """Whether the command of a brace group (from 1) is not zero throughout."""
+        return bool(np.any(self.spectra[signals.command_names(self.groups)[group - 1]]))
+
     def within(self, band: tuple[float, float]) -> NDArray[np.int64]:
         """Numbers of the lines in a band [Hz]."""
         low, high = (2 * np.pi * edge for edge in band)

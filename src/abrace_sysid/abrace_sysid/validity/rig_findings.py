@@ -88,10 +88,18 @@ def backlash(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[Findin
     tests
         Each test with the band [Hz] in which its strokes' equations are fitted.
     """
-    found = [(motion.source, one) for motion, band in tests for one in backlashes(motion, band)]
+    each = [(motion, one) for motion, band in tests for one in backlashes(motion, band)]
+    found = [(motion.source, one) for motion, one in each]
     limit = normal_limit(len(found))
-    of_strokes = [each for source, one in found for each in late(one.stroke, "the floors", one.lag, source)]
-    late_ones = [each for each in of_strokes if each.verdict]
+    loose = {one.group for _, one in found if one.share > LOOSE_PINS[0] and one.clearance > limit * one.deviation}
+    # a loose rod that is not driven is late by itself when it crosses the clearance
+    late_ones = [
+        finding
+        for motion, one in each
+        if one.group not in loose or motion.driven(one.group)
+        for finding in late(one.stroke, "the floors", one.lag, motion.source)
+        if finding.verdict
+    ]
     return late_ones + _findings(
         "backlash",
         "of the stroke",
