@@ -20,7 +20,8 @@ class Player:
     def __init__(self, graph) -> None:
         self.graph = graph
         graph.by_the_clock = True
-        graph.start("plant", command_timeout=0.5)
+        # a shared machine may hold the rig up for longer than a laboratory's
+        graph.start("plant", command_timeout=0.5, late_limit=250)
         graph.start("ground_motion")
         self.responses = graph.listen(Response, "response")
         self.played = graph.listen(AccelStamped, "ground_motion")
@@ -97,7 +98,8 @@ def test_a_cancelled_motion_comes_smoothly_to_rest(player):
     player.graph.until(
         lambda: len(player.responses) > count and np.abs(player.ground[-20:]).max() < 0.01, "the table at rest"
     )
-    # of what was sent: on a busy machine the rig may take two of them as one step
+    # of what was sent, which may arrive later: on a busy machine the rig may take two of them as one step
+    player.graph.until(lambda: player.played[-1].accel.linear.x == 0, "the last message of the motion")
     sent = np.array([message.accel.linear.x for message in player.played])
     assert sent[-1] == 0
     assert np.abs(np.diff(sent)).max() < 0.1
