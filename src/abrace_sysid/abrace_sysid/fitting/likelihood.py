@@ -71,7 +71,9 @@ class Likelihood:
     cost: float
 
     @classmethod
-    def at(cls, observations: Sequence[Observation], inputs: Sequence[str], modes: Modes) -> Likelihood | None:
+    def at(
+        cls, observations: Sequence[Observation], inputs: Sequence[str], modes: Modes, near: Likelihood | None = None
+    ) -> Likelihood | None:
         """Compute it; None if poles coincide or are too fast, or a pair has crossed the real axis.
 
         Parameters
@@ -82,6 +84,8 @@ class Likelihood:
             Names of all inputs.
         modes
             The modes at which it is computed.
+        near
+            The likelihood at modes nearby, whose noise levels the channels' fits begin with.
         """
         exponents = modes.poles * observations[0].samplings[0].sample_period
         highest = 10 * np.pi if observations[0].samplings[0].hold == "band" else np.pi
@@ -90,7 +94,7 @@ class Likelihood:
             return None
         tests = condensed(observations, inputs, modes)
         parameters = modes.size
-        channels = fit_channels(tests, parameters)
+        channels = fit_channels(tests, parameters, [channel.power for channel in near.channels] if near else None)
         if channels is None:
             return None
         normal, gradient, cost = np.zeros((parameters, parameters)), np.zeros(parameters), 0.0
@@ -146,10 +150,24 @@ class Likelihood:
         return found
 
 
-def fit_channels(tests: Sequence[CondensedLines], parameters: int) -> tuple[_Channel, ...] | None:
+def fit_channels(
+    tests: Sequence[CondensedLines], parameters: int, powers: Sequence[NDArray[np.float64]] | None = None
+) -> tuple[_Channel, ...] | None:
     """Fit every channel to all `tests`: coefficients, and residuals and derivatives in units of the channel's noise.
 
-    `parameters`: their number. None if the basis is degenerate.
+    Parameters
+    ----------
+    tests
+        The tests.
+    parameters
+        Number of parameters of the modes.
+    powers
+        Of each channel, the noise power in each test with which the fit begins; None: the power of the channel.
+
+    Returns
+    -------
+    tuple of _Channel or None
+        None if the basis is degenerate.
     """
     total = 1 + max(int(test.columns.max()) for test in tests)
     lines = np.array([len(test.measured) for test in tests])
@@ -171,6 +189,8 @@ def fit_channels(tests: Sequence[CondensedLines], parameters: int) -> tuple[_Cha
     for c in range(tests[0].measured.shape[1]):
         small = [test.parts[2][:, c] for test in tests]
         level = np.array([np.linalg.norm(part) for part in small]) / np.sqrt(lines)
+        if powers is not None:
+            level = np.sqrt(powers[c])
         for _ in range(REWEIGHTINGS):
             relative = level / level[0] / counts
             factor = one if len(tests) == 1 else _factor(tests, relative, total)

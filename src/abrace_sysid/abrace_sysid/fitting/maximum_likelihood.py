@@ -151,7 +151,7 @@ def _climbed(
         iterations += 1
         step = likelihood.step(damping, fastest)
         small = likelihood.size(step) < CONVERGED
-        after = Likelihood.at(observations, inputs, likelihood.modes.moved(step, fastest))
+        after = Likelihood.at(observations, inputs, likelihood.modes.moved(step, fastest), likelihood)
         if after is not None and after.cost < likelihood.cost:
             small = small or likelihood.cost - after.cost < INSIGNIFICANT
             likelihood, damping, converged = after, damping / 10, small
