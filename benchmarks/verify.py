@@ -38,6 +38,7 @@ from safety import verify_safety
 from validity import verify_validity
 
 from abrace_core.files import write_text
+from abrace_core.one_thread import one_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -125,7 +126,8 @@ def main() -> int:
         print(f"{name}: {part.about}", flush=True)
         begin = time.monotonic()
         try:
-            values, of_part, *further = part.measure()
+            with one_thread():  # as nodes and functions in Python do
+                values, of_part, *further = part.measure()
         except Exception:
             traceback.print_exc()
             failed.append(name)

@@ -128,6 +128,27 @@ def test_a_signal_interrupts_the_work_of_an_offline_node_and_a_second_one_not_it
     assert process.returncode == 0
 
 
+THREADS = """
+import sys
+import numpy, scipy.linalg
+from threadpoolctl import threadpool_info
+from abrace_core.node import AbraceNode, run
+class Worker(AbraceNode):
+    def __init__(self):
+        super().__init__("worker", [])
+    def work(self):
+        print({one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}, flush=True)
+sys.exit(run(Worker, ["worker"]))
+"""
+
+
+def test_an_offline_node_uses_one_thread_for_linear_algebra(monkeypatch):
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        monkeypatch.setenv(name, "2")
+    ended = subprocess.run([sys.executable, "-c", THREADS], capture_output=True, text=True, timeout=120, check=True)
+    assert ended.stdout == "{1}\n"
+
+
 def test_a_latched_topic_that_was_published_before_is_recorded(graph):
     bag = graph.folder / "bag"
     heard = graph.listen(String, "robot_description", TRANSIENT_LOCAL_QOS)

@@ -31,6 +31,7 @@ FROM_PIP = {
     "lz4",
     "plotly",
     "pymodbus",
+    "threadpoolctl",
     "rosbags",
     "foxglove",
     "dask",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from abrace.interactive.given import model_of, rig_of, weights_of
 from abrace.interactive.identification import Identified
 from abrace_core.errors import AbraceError
+from abrace_core.one_thread import one_thread
 from abrace_lqg.proof.limits import Limits
 from abrace_lqg.proof.proven_design import ProvenDesign, proven_design
 from abrace_sysid.validity.finding import Verdict
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from abrace_lqg.weights import Weights
 
 
+@one_thread()
 def design(
     model: AnyModel,
     weights: Weights | Path | str = "lqg3",

@@ -11,6 +11,7 @@ import numpy as np
 from abrace.interactive.given import runs_of, warn
 from abrace.interactive.identification import pole_intervals
 from abrace_core.errors import AbraceError
+from abrace_core.one_thread import one_thread
 from abrace_sysid import data_identification
 from abrace_sysid.ambient.recorded import ambient_test
 from abrace_sysid.data_identification import DataOptions
@@ -78,6 +79,7 @@ class IdentifiedData:
         return drawn[chosen]
 
 
+@one_thread()
 def identify_data(
     data: MeasuredData | Mapping[str, ArrayLike] | pandas.DataFrame | Path | str,
     inputs: Sequence[str] = (),
@@ -144,6 +146,7 @@ class IdentifiedModes:
         return ambient_stabilization(self.found)
 
 
+@one_thread()
 def identify_ambient(
     tests: AnyRun | Sequence[AnyRun],
     channels: Sequence[str] = (),

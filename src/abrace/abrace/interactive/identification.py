@@ -11,6 +11,7 @@ import numpy as np
 
 from abrace.interactive.given import runs_of, warn
 from abrace_core.errors import AbraceError
+from abrace_core.one_thread import one_thread
 from abrace_core.tables import data_frame
 from abrace_sysid import identification
 from abrace_sysid.figures import identification as figures
@@ -127,6 +128,7 @@ class Identified:
         return Path(folder)
 
 
+@one_thread()
 def identify(
     table: AnyRun | Sequence[AnyRun],
     command: AnyRun | Sequence[AnyRun],

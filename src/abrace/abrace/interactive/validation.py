@@ -10,6 +10,7 @@ import numpy as np
 
 from abrace.interactive.given import controller_of, model_of, runs_of
 from abrace_core.errors import AbraceError
+from abrace_core.one_thread import one_thread
 from abrace_core.tables import data_frame
 from abrace_sysid import validation
 from abrace_sysid.figures.validation import time_histories
@@ -79,6 +80,7 @@ class Validated:
         return time_histories(self.comparison, tuple(channels) or (*floors[-1:], "a1"))
 
 
+@one_thread()
 def validate(test: AnyRun, model: AnyModel, *, controller: AnyController | None = None) -> Validated:
     """Compare a recorded test with its simulation by a model.
 

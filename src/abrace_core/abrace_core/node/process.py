@@ -31,6 +31,7 @@ from abrace_core.node.conventions import AbraceNode, Described, RCLError, rcl_me
 from abrace_core.node.leaving import destroy
 from abrace_core.node.threads import LONGEST_WAIT
 from abrace_core.node.transport import profile
+from abrace_core.one_thread import one_thread
 from abrace_core.ros_arguments import check_environment, mistake_in
 
 EVENTS_WHEN_LATE = 3
@@ -257,7 +258,8 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
             except RCLError as error:
                 raise AbraceError(f"the node cannot be created: {rcl_message(error)}") from error
         if hasattr(node, "work"):
-            signals.interrupt(node.work)
+            with one_thread():
+                signals.interrupt(node.work)
             exit_code = node.exit_code or 0
         else:
             exit_code = _spin(node, signals)
