@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from abrace_core.errors import AbraceError
-from abrace_core.safety.command_guard import CommandGuard
+from abrace_core.safety.command_guard import CommandGuard, rate_problem
 
 CAPACITY, RATE, PERIOD, RAMP = 24516.625, 5.0e6, 0.002, 0.1
 
@@ -122,8 +122,12 @@ def test_after_the_ramp_the_command_before_does_not_come_back():
         ({"capacity": 5.0, "rate_limit": 5.0}, "one number for each brace group"),
         ({"sample_period": 0.0}, "sample_period"),
         ({"ramp_time": -1.0}, "ramp_time"),
-        ({"ramp_time": 0.001}, "expected at least 0.008 s to bring 24516.6 N to zero at 5e\\+06 N/s"),
-        ({"ramp_time": 0.006}, "at least 0.008 s"),
+        ({"ramp_time": 0.001}, "command guard: ramp_time 0.001 s, expected at least a sample_period, 0.002 s"),
+        (
+            {"ramp_time": 0.006},
+            r"guard: rate_limit: 5e\+06 N/s, expected at least 6.13e\+06 N/s to bring 24516.6 N to zero in 0.006 s",
+        ),
+        ({"ramp_time": 0.006, "rate_name": "parameter rate_limit"}, r"^parameter rate_limit: 5e\+06 N/s, expected"),
     ],
 )
 def test_limits_that_cannot_be_kept_are_refused(change, message):
@@ -132,8 +136,17 @@ def test_limits_that_cannot_be_kept_are_refused(change, message):
         CommandGuard(**arguments)
 
 
-def test_shortest_ramp_time_that_the_refusal_names_is_accepted():
-    assert CommandGuard([CAPACITY], [RATE], PERIOD, 0.008).at_rest
+@pytest.mark.parametrize("ramp", [PERIOD, 0.006, 0.5, 0.7])
+@pytest.mark.parametrize("capacity", [3.7, 24_516.625, 1e5, 9e8])
+def test_least_rate_limit_that_the_refusal_names_is_accepted_and_not_much_less(capacity, ramp):
+    least = float(rate_problem(capacity, 1e-3, PERIOD, ramp).split("at least ")[1].split()[0])
+    guarded = CommandGuard([capacity], [least], PERIOD, ramp)
+    assert rate_problem(capacity, 0.998 * least, PERIOD, ramp)
+    guarded.value = [capacity]
+    guarded.begin_to_rest()
+    for _ in range(round(ramp / PERIOD)):
+        guarded.come_to_rest()
+    assert guarded.at_rest, "the rate limit does not make the ramp longer"
 
 
 @settings(max_examples=150, deadline=None)

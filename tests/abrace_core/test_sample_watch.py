@@ -60,6 +60,29 @@ def test_another_sample_rate_is_a_problem_within_0_1_s(watch, factor):
     assert "expected 2 ms (sample rate)" in problems[-1]
 
 
+@pytest.mark.parametrize("factor", [0.8, 0.97, 1.03, 1.25])
+def test_a_rate_that_is_slightly_wrong_is_a_problem_within_3_s(watch, factor):
+    problems = set()
+    for k in range(1, 1500):
+        watch.update(RUN, 10 + k, 10 * PERIOD + round(factor * k * PERIOD))
+        problems.add(watch.problem)
+    (problem,) = problems - {None}
+    assert f"come {factor * 2:g} ms apart, expected 2 ms (sample rate)" in problem
+
+
+def test_a_rig_that_is_held_up_now_and_then_has_its_rate(watch):
+    for k in range(1, 5000):
+        held_up = 40_000_000 if 505 <= k % 1000 < 515 else 0
+        watch.update(RUN, 10 + k, (10 + k) * PERIOD + held_up)
+        assert watch.problem is None
+
+
+def test_a_clock_that_is_set_once_is_no_wrong_rate(watch):
+    for k in range(1, 3000):
+        watch.update(RUN, 10 + k, (10 + k) * PERIOD + (25_000_000 if k > 700 else 0))
+        assert watch.problem is None
+
+
 def test_jitter_of_the_stamps_is_no_problem(watch):
     for k in range(11, 500):
         watch.update(RUN, k, k * PERIOD + (k * 7919 % 5) * PERIOD)

@@ -52,3 +52,54 @@ def test_it_comes_to_rest_at_zero_velocity_and_stays_where_it_is():
     there = guard.state.displacement
     guard.reset()
     assert guard.state.displacement == there
+
+
+def test_samples_without_a_command_are_counted_as_if_the_last_acceleration_went_on():
+    guard, counted = TableGuard(TABLE, PERIOD), TableGuard(TABLE, PERIOD)
+    for k in range(100):
+        value = 2.0 * math.sin(2 * math.pi * k * PERIOD)
+        guard.follow([value])
+        counted.follow([value])
+    guard.hold(7)
+    for _ in range(7):
+        counted.follow(None)
+    assert guard.state.velocity == pytest.approx(counted.state.velocity, rel=1e-12)
+    assert guard.state.displacement == pytest.approx(counted.state.displacement, rel=1e-12)
+
+
+def test_a_stop_that_misses_samples_ends_and_knows_its_velocity():
+    guard, velocity = TableGuard(TABLE, PERIOD), 0.0
+    for k in range(100):
+        last = guard.value[0]
+        guard.follow([2.0 * math.sin(2 * math.pi * k * PERIOD)])
+        velocity += PERIOD / 2 * (last + guard.value[0])
+    guard.begin_to_rest()
+    step = 0
+    while not guard.at_rest:
+        last, samples = guard.value[0], 6 if step % 10 == 5 else 1
+        guard.come_to_rest(samples)
+        velocity += PERIOD * (samples - 1) * last + PERIOD / 2 * (last + guard.value[0])
+        step += 1
+    assert 100 < step < 1000
+    assert guard.state.velocity == pytest.approx(velocity, abs=1e-12)
+    assert abs(velocity) < 0.02 * TABLE.peak_velocity
+
+
+def test_a_table_that_is_left_alone_does_not_drift():
+    guard = TableGuard(TABLE, PERIOD)
+    for value in (1.0, 2.0, 1.0, 0.0):
+        guard.follow([value])
+    assert guard.state.velocity > 0.005
+    for _ in range(501):
+        guard.follow([0.0])
+    there = guard.state.displacement
+    for _ in range(500_000):
+        guard.follow([0.0])
+    assert guard.state.displacement == there
+
+
+def test_a_table_that_moves_on_is_no_table_at_rest():
+    guard = TableGuard(TABLE, PERIOD)
+    for value in [1.0] * 20 + [0.0] * 2000:
+        guard.follow([value])
+    assert guard.state.velocity > 0.03

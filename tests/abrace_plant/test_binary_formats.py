@@ -10,6 +10,7 @@ import pytest
 import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference_messages import DEFINITIONS, HASHES, RESPONSE, response_message, serialised
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
@@ -234,6 +235,74 @@ def test_channel_of_a_bag_is_listed_where_it_is_missing_or_wrong(tmp_path, chann
 def test_missing_and_repeated_messages_are_told(tmp_path, steps, message):
     path = write_bag(tmp_path / "bag", VALUES[: len(steps)], [START + STEP * k for k in steps])
     with pytest.raises(AbraceError, match=f"^ground motion {re.escape(str(path))}.*{message}"):
+        read_record(path, channel="ground_motion:accel.linear.x")
+
+
+JITTER = np.random.default_rng(1).integers(-300_000, 300_001, 2000)
+"""[ns], +-0.3 ms at 500 Hz."""
+
+
+def write_responses(folder, numbers, jitter):
+    """A bag of responses with these numbers, sampled at 500 Hz with jitter [ns]; sample k has ground acceleration k."""
+    with BagWriter(folder, {}) as bag:
+        topic = bag.add_topic("/response", RESPONSE, DEFINITIONS[RESPONSE], HASHES[RESPONSE])
+        for number, late in zip(numbers, jitter, strict=False):
+            stamp = START + STEP * number + int(late)
+            message = response_message(number, np.full(10, float(number)), stamp // 10**9, stamp % 10**9)
+            bag.write(topic, serialised(message), stamp, stamp)
+    return folder
+
+
+def test_bag_recorded_in_real_time_has_the_mean_step_of_its_stamps(tmp_path):
+    stamps = [START + STEP * k + int(late) for k, late in enumerate(JITTER)]
+    motion = write_bag(tmp_path / "motion", np.arange(2000.0), stamps)
+    responses = write_responses(tmp_path / "responses", range(7, 2007), JITTER)
+    for bag, channel, first in (
+        (motion, "ground_motion:accel.linear.x", 0),
+        (motion, "bare:x", 0),
+        (responses, "response:ground_acceleration", 7),
+    ):
+        record = read_record(bag, channel=channel)
+        assert record.sample_period == pytest.approx(0.002, rel=1e-4)
+        np.testing.assert_array_equal(record.acceleration, np.arange(first, first + 2000))
+
+
+@pytest.mark.parametrize("place", [1, 2, 1000, 1998])
+def test_sample_missing_from_a_recording_in_real_time_is_refused(tmp_path, place):
+    kept = [k for k in range(2000) if k != place]
+    stamps = [START + STEP * k + int(JITTER[k]) for k in kept]
+    path = write_bag(tmp_path / "motion", np.zeros(1999), stamps)
+    with pytest.raises(
+        AbraceError, match=rf"ground_motion, message {place + 1}: time step 0\.00.* expected equal steps"
+    ):
+        read_record(path, channel="ground_motion:accel.linear.x")
+    path = write_responses(tmp_path / "responses", kept, JITTER)
+    with pytest.raises(AbraceError, match=f"response, message {place + 1}: sample {place} is missing before it"):
+        read_record(path, channel="response:ground_acceleration")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        ([0, 1, 5, 6, 9], "response, message 3: samples 2 to 4 are missing before it, expected consecutive numbers"),
+        ([3, 4, 4, 5], "response, message 3: sample number 4 after 4, expected consecutive numbers of one run"),
+        ([3, 4, 0, 1], "response, message 3: sample number 0 after 4, expected consecutive numbers of one run"),
+    ],
+)
+def test_numbers_that_are_not_consecutive_are_named(tmp_path, numbers, message):
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        topic = bag.add_topic("/response", RESPONSE, DEFINITIONS[RESPONSE], HASHES[RESPONSE])
+        for k, number in enumerate(numbers):
+            late = START + STEP * k
+            bag.write(topic, serialised(response_message(number, VALUES[[0] * 10], late // 10**9, k)), late, late)
+    with pytest.raises(AbraceError, match=f"^ground motion .*{message}"):
+        read_record(tmp_path / "bag", channel="response:ground_acceleration")
+
+
+def test_step_that_changes_during_a_recording_is_refused(tmp_path):
+    stamps = START + np.cumsum(np.where(np.arange(400) < 200, STEP, 1.3 * STEP)).astype(int)
+    path = write_bag(tmp_path / "bag", np.zeros(400), stamps.tolist())
+    with pytest.raises(AbraceError, match=r"ground_motion, message \d+: .* s off equal steps of 0\.0023.* s, expected"):
         read_record(path, channel="ground_motion:accel.linear.x")
 
 

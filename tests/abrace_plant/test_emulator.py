@@ -148,12 +148,37 @@ def test_jitter_delays_by_different_times():
 
 
 @pytest.mark.parametrize(
-    "text", ["", "wind=1", "loss=much", "loss=-1", "other.loss=0.1", "a2=broken", "delay=1@soon", "freeze=nan"]
+    "text",
+    [
+        *("", "wind=1", "loss=much", "loss=-1", "other.loss=0.1", "a2=broken", "delay=1@soon", "freeze=nan"),
+        *("los=0.1@5", "a2=stuk@5", "loss=much@5", "freeze=@5", "clear@5"),
+    ],
 )
 def test_a_fault_that_there_is_not_is_refused(tmp_path, text):
     emulator = Emulator(device_file(tmp_path), RIG, "127.0.0.1")
     with pytest.raises(AbraceError, match=r"fault '"):
         emulator.cause(text)
+    emulator.close()
+
+
+def test_a_delayed_fault_that_there_is_not_is_refused_before_the_emulator_starts(tmp_path):
+    path = device_file(tmp_path)
+    with pytest.raises(AbraceError, match="sensor fault 'a2=stuk': expected CHANNEL=KIND"):
+        Emulator(path, RIG, "127.0.0.1", faults=["a2=stuk@20"])
+    Emulator(path, RIG, "127.0.0.1").close()
+
+
+def test_a_fault_with_seconds_begins_then_and_not_before(tmp_path):
+    emulator = Emulator(device_file(tmp_path), RIG, "127.0.0.1")
+    for text in ("sample.loss=0.25@0.4", "a2=zero@0.4"):
+        emulator.cause(text)
+    links, channel, seen = emulator.port.links, CHANNELS.index("a2"), []
+    emulator.run(lambda: False, 0.1)
+    seen.append((links["sample"].faults.loss, bool(emulator.target.step()[channel])))
+    emulator.run(lambda: False, 0.6)
+    seen.append((links["sample"].faults.loss, bool(emulator.target.step()[channel])))
+    assert seen == [(0.0, True), (0.25, False)]
+    assert links["command"].faults.loss == 0.0
     emulator.close()
 
 
@@ -196,6 +221,8 @@ def test_the_program_is_a_rig_with_faults_on_demand_and_stops_by_itself(tmp_path
         assert ask(control, "a2=zero") == "ok"
         assert ask(control, "sample.corruption=0.5") == "ok"
         assert ask(control, "wind=1").startswith("fault 'wind=1': expected NAME=VALUE")
+        assert ask(control, "los=0.1@0").startswith("fault 'los=0.1@0': expected NAME=VALUE")
+        assert ask(control, "a3=stuk@0").startswith("sensor fault 'a3=stuk': expected CHANNEL=KIND")
         readings = [device.exchange([4e3], 0.0) for _ in range(100)]
         assert {reading.values[CHANNELS.index("a2")] for reading in readings[5:]} == {0.0}
         assert device.dropped["wrong_crc"] > 20

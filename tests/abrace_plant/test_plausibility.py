@@ -224,6 +224,17 @@ def test_the_message_names_key_value_range_and_the_likely_unit(tmp_path, path, f
     assert "\n" not in message
 
 
+def test_a_rate_limit_that_is_too_low_to_ramp_the_force_down_is_refused_with_the_least_that_is_not(tmp_path):
+    written = deepcopy(PAPERS)
+    actuator = written["braces"][0]["actuator"]
+    actuator["rate_limit"] = 2.5 * actuator["capacity"]
+    assert refusal(written, tmp_path) == (
+        "braces.0.actuator.rate_limit: 61291.6 N/s, expected at least 77030 N/s to bring 24516.6 N to zero in 0.5 s"
+    )
+    actuator["rate_limit"] = 77030.0
+    assert refusal(written, tmp_path) == ""
+
+
 @pytest.mark.parametrize("kind", ["masses", "storey_stiffness"])
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
 @pytest.mark.parametrize("floor", range(5))

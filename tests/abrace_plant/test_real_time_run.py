@@ -141,6 +141,42 @@ def test_a_device_that_fails_is_a_fault_and_is_still_sent_the_way_to_rest(rig):
     assert device.closed
 
 
+def test_the_way_to_rest_is_no_faster_on_a_device_that_fails_at_once(rig):
+    class Broken(Scripted):
+        def exchange(self, command, table) -> Reading:
+            if len(self.sent) < 50:
+                return super().exchange(command, table)
+            self.sent.append((list(command), table))
+            self.times.append(time.monotonic())
+            raise DeviceError("the card does not answer")
+
+    device = Broken(rig, lambda _: None)
+    device.times = []
+    bench = Bench(rig, device)
+    bench.until(lambda: len(bench.samples) >= 10)
+    with bench.lock:
+        bench.loop.receive_command(1, bench.loop.sequence, [5000.0], "")
+    bench.until(lambda: len(device.sent) > 320)
+    bench.end()
+    # One call may be late and the next on time: what counts is how many there were in the whole time.
+    assert device.times[249] - device.times[0] >= 0.5 * 249 * PERIOD
+    force = np.array([command[0] for command, _ in device.sent])
+    assert force.max() == 5000.0
+    assert force[-1] == 0.0
+
+
+def test_a_tick_is_never_ahead_of_the_clock(rig):
+    class SetBack(SimulatedRig):
+        def exchange(self, command, table):
+            return super().exchange(command, table)._replace(age=-3600.0)
+
+    bench = Bench(rig, SetBack(rig, 1, by_the_clock=False))
+    with bench.lock:
+        bench.loop.receive_command(1, bench.loop.sequence, [1.0], "")  # from now on an answer is waited for
+    bench.until(lambda: len(bench.samples) >= 100)
+    bench.end()
+
+
 def test_the_answers_to_a_sample_have_until_a_share_of_the_period_after_its_tick(rig):
     class Late(SimulatedRig):
         def exchange(self, command, table):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sensors judged by their records: at rest, and in the paper's tests with faults planted."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 from laboratory import Laboratory
@@ -9,7 +11,8 @@ from udp_target import CHANNELS, RIG
 from abrace_core.errors import AbraceError
 from abrace_core.noise import banded_noise
 from abrace_plant.devices.sensor_check import check_sensors
-from abrace_plant.rig.sensors import Measurement, parse_fault
+from abrace_plant.rig.model import Rig
+from abrace_plant.rig.sensors import Measurement, Sensor, parse_fault
 
 SAMPLES = 12_000
 
@@ -43,6 +46,7 @@ def test_nothing_is_wrong_with_a_rig_at_rest_and_it_says_what_cannot_be_judged(a
     assert "not checked, the rig hardly moved" in found.text()
     for channel, sensor in zip(found.channels, RIG.channel_sensors, strict=True):
         assert channel.noise == pytest.approx(sensor.noise, rel=0.05)
+        assert channel.expected_noise == pytest.approx(np.hypot(sensor.noise, sensor.step / np.sqrt(12)), rel=1e-9)
         assert abs(channel.mean) < 0.1 * sensor.noise
 
 
@@ -118,6 +122,35 @@ def test_a_load_cell_is_compared_with_the_other_of_its_group(shaken, change, sai
     found = {one.name: one.faults for one in check_sensors(RIG, readings).channels if one.faults}
     assert set(found) == {"fa", "fb"}
     assert found["fb"] == (said,)
+
+
+def without_noise(bits: int = 16) -> Rig:
+    quiet = {
+        field.name: replace(getattr(RIG.sensors, field.name), noise=0.0, bits=bits)
+        for field in fields(RIG.sensors)
+        if isinstance(getattr(RIG.sensors, field.name), Sensor)
+    }
+    return replace(RIG, sensors=replace(RIG.sensors, **quiet))
+
+
+@pytest.mark.parametrize("bits", [16, 900])
+def test_sensors_without_noise_are_compared_by_their_steps_and_may_rest_at_one_reading(shaken, bits):
+    rig = without_noise(bits)
+    sensors = Measurement(rig.channel_sensors, 1, 1 / rig.sample_rate)
+    found = check_sensors(rig, sensors.record(np.zeros((SAMPLES, len(CHANNELS)))))
+    assert (found.well, found.judged) == (True, False), found.text()
+    steps = np.array([sensor.step for sensor in rig.channel_sensors]) if bits == 16 else np.zeros(len(CHANNELS))
+    expected = np.array([channel.expected_noise for channel in found.channels])
+    np.testing.assert_allclose(expected, steps / np.sqrt(12), rtol=1e-9, atol=1e-11 * rig.sensors.force.range)
+    assert (expected > 0).all()
+    readings = shaken.copy()
+    one, other = CHANNELS.index("a1"), CHANNELS.index("a3")
+    readings[:, [one, other]] = readings[:, [other, one]]
+    swapped = {one.name for one in check_sensors(rig, readings).channels if "swapped" in " ".join(one.faults)}
+    assert swapped == {"a1", "a3"}
+    readings = shaken.copy()
+    readings[3000:, one] = readings[3000, one]
+    assert "dead" in check_sensors(rig, readings).channels[one].faults[0], "while the other accelerometers moved"
 
 
 def test_drift_is_the_change_over_the_record(at_rest):

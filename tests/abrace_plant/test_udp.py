@@ -86,6 +86,20 @@ def test_stamps_are_those_of_the_ticks_and_not_of_the_packets(target):
     assert (np.diff(stamps) > 0).all()
 
 
+def test_a_wall_clock_that_is_set_back_changes_stamps_alone(target, monkeypatch):
+    real, back, stamps = time.time_ns, 0, []
+    monkeypatch.setattr(time, "time_ns", lambda: real() - back)
+    for k in range(40):
+        back = 7200 * 10**9 if k >= 20 else 0
+        target.tick()
+        time.sleep(PERIOD * 1e-9)
+        reading = target.device.exchange([0.0], 0.0)
+        stamps.append(reading.stamp)
+        assert 0 <= reading.age < 1.0
+    assert stamps[20] - stamps[19] == pytest.approx(-7200e9, rel=1e-3)
+    assert np.diff(stamps)[20:] == pytest.approx(PERIOD, abs=20e6)
+
+
 WRONG = {
     "wrong_length": lambda target: target.sample(target.counter + 1)[:-1],
     "wrong_crc": lambda target: target.sample(target.counter + 1)[:-1] + b"\0",

@@ -288,16 +288,18 @@ def save_model(model: LinearModel, path: Path | str, covariance: NDArray[np.floa
         "inputs": model.inputs,
         "outputs": model.outputs,
         "input_delay": model.input_delay,
-        "a": model.a.tolist(),
-        "b": model.b.tolist(),
-        "c": model.c.tolist(),
-        "d": model.d.tolist(),
-        "provenance": model.provenance,
     }
+    tables = {"a": model.a.tolist(), "b": model.b.tolist(), "c": model.c.tolist(), "d": model.d.tolist()}
     if covariance is not None:
         # its lower triangle: the other half is the same
-        content["covariance"] = [row[: i + 1] for i, row in enumerate(covariance.tolist())]
-    write_text(path, json.dumps(content, indent=1) + "\n")
+        tables["covariance"] = [row[: i + 1] for i, row in enumerate(covariance.tolist())]
+    parts = [f' "{key}": {json.dumps(value)}' for key, value in content.items()]
+    # a row of a matrix is a line
+    parts += [
+        f' "{key}": [' + ",".join(f"\n  {json.dumps(row)}" for row in rows) + "\n ]" for key, rows in tables.items()
+    ]
+    parts.append(f' "provenance": {json.dumps(model.provenance)}')
+    write_text(path, "{\n" + ",\n".join(parts) + "\n}\n")
 
 
 def load_model(path: Path | str) -> LinearModel:

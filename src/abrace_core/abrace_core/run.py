@@ -46,6 +46,8 @@ class Run:
         where the bag does not say.
     braces
         (groups,) number of braces, each with a load cell; by default one in each group.
+    forces
+        (samples, braces) [N], of each brace, those of the first group first; None where only `outputs` has forces.
     """
 
     source: str
@@ -59,6 +61,7 @@ class Run:
     facts: dict[str, Any] = field(default_factory=dict)
     clipped: NDArray[np.uint64] | None = None
     braces: tuple[int, ...] = ()
+    forces: NDArray[np.float64] | None = None
 
     def __repr__(self) -> str:
         rig = f"{self.floors} floors, {self.groups} brace group{'' if self.groups == 1 else 's'}"

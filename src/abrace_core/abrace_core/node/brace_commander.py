@@ -44,7 +44,7 @@ class BraceCommander(Commander):
         `sample_period` [s]; `force_limit` [N] of each group; more than `longest_gap` samples lost in a row are a fault.
         """
         rates = [self.parameters.rate_limit] * len(force_limit)
-        self.guard = CommandGuard(force_limit, rates, sample_period, RAMP_TIME)
+        self.guard = CommandGuard(force_limit, rates, sample_period, RAMP_TIME, "parameter rate_limit")
         self.answering.configure([self.guard], sample_period, longest_gap)
         self.commands = BraceCommands()
         self.latency = Latency(sample_period)

@@ -112,6 +112,8 @@ class AbraceNode(Node):
     """Whether its messages must never be delayed: then it has two threads, and streams.xml is its DDS profile."""
     exit_code: int | None = None
     """Exit code of the process, once the node has finished."""
+    failed = False
+    """Whether an error has ended the node's second thread: it comes to rest, then the process ends with that error."""
     reported_fault: str | None = None
     """The fault that was last logged and published."""
     remedy = ""

@@ -96,7 +96,8 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
             sys.setswitchinterval(interval)
 
     def _failed(self) -> None:
-        self.exit_code = 1
+        """An error has ended the second thread: the node comes to rest, and the process ends with that error."""
+        self.failed = True
         self.rouse()
 
     def later(self, act: Callable[[], object]) -> None:

@@ -162,17 +162,19 @@ def _turn(node: AbraceNode, executor: Executor, over: Callable[[], bool]) -> Non
 
 
 def _spin(node: AbraceNode, signals: _Signals) -> int:
-    """Spin until the node finishes, or has come to rest after a signal; returns the exit code."""
+    """Spin until the node finishes, or has come to rest after a signal or an error; returns the exit code."""
     signals.rouse = node.rouse
     with node.spun() as executor:
         # now, because the pauses of a collection would delay samples
         real_time.collect_unfrozen_garbage()
         if not signals.stopped:
             node.autostart()
-        _turn(node, executor, lambda: signals.stopped or node.exit_code is not None)
-        if node.exit_code is None:
-            latest = time.monotonic() + node.leave()
-            _turn(node, executor, lambda: node.exit_code is not None or node.at_rest or time.monotonic() >= latest)
+        try:
+            _turn(node, executor, lambda: signals.stopped or node.failed or node.exit_code is not None)
+        finally:
+            if node.exit_code is None:
+                latest = time.monotonic() + node.leave()
+                _turn(node, executor, lambda: node.exit_code is not None or node.at_rest or time.monotonic() >= latest)
     return node.exit_code or 0
 
 

@@ -20,6 +20,35 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 
+def rate_problem(capacity: float, rate_limit: float, sample_period: float, ramp_time: float) -> str:
+    """What is wrong with a rate limit too low for the ramp-down from capacity; empty: nothing.
+
+    Parameters
+    ----------
+    capacity
+        Greatest force [N], from which the ramp begins.
+    rate_limit
+        Greatest rate of the force [N/s].
+    sample_period
+        [s].
+    ramp_time
+        Duration of the ramp to zero force [s], at least `sample_period`.
+    """
+    # the steepest step of the half cosine of n steps is sin(pi / (2 n)) of the force that it starts from
+    steepest = math.sin(math.pi / (2 * _ramp_steps(sample_period, ramp_time)))
+    least = capacity * steepest / sample_period
+    if rate_limit >= least:
+        return ""
+    digit = 10.0 ** (math.floor(math.log10(least)) - 3)
+    enough = math.ceil(least / digit) * digit
+    return f"{rate_limit:g} N/s, expected at least {enough:g} N/s to bring {capacity:g} N to zero in {ramp_time:g} s"
+
+
+def _ramp_steps(sample_period: float, ramp_time: float) -> int:
+    """Whole sample periods of the ramp."""
+    return int(ramp_time / sample_period * (1 + 1e-12))
+
+
 class CommandGuard:
     """Limits the force commands of a rig's brace groups, sample by sample.
 
@@ -32,7 +61,9 @@ class CommandGuard:
     sample_period
         Time between two calls of `follow` or `come_to_rest` [s].
     ramp_time
-        Duration of the ramp to zero force [s]; long enough to ramp down from capacity within the rate limit.
+        Duration of the ramp to zero force [s], at least a sample period.
+    rate_name
+        What errors call a rate limit that is too low for the ramp: the parameter or key that sets it.
 
     Attributes
     ----------
@@ -48,10 +79,18 @@ class CommandGuard:
     Raises
     ------
     AbraceError
-        If a limit is not positive and finite, or the ramp time is too short for the rate limit.
+        If a limit is not positive and finite, the ramp time shorter than a sample, or the rate limit too low for a ramp
+        from capacity.
     """
 
-    def __init__(self, capacity: ArrayLike, rate_limit: ArrayLike, sample_period: float, ramp_time: float) -> None:
+    def __init__(
+        self,
+        capacity: ArrayLike,
+        rate_limit: ArrayLike,
+        sample_period: float,
+        ramp_time: float,
+        rate_name: str = "command guard: rate_limit",
+    ) -> None:
         limits = np.asarray(capacity, dtype=np.float64), np.asarray(rate_limit, dtype=np.float64)
         if limits[0].ndim != 1 or limits[0].shape != limits[1].shape:
             raise AbraceError(
@@ -64,16 +103,14 @@ class CommandGuard:
                 raise AbraceError(f"command guard: {name} {values.tolist()}, expected more than 0")
         self._capacity: list[float] = limits[0].tolist()
         self._step: list[float] = (limits[1] * sample_period).tolist()
-        steps = int(ramp_time / sample_period * (1 + 1e-12))
-        # the steepest step of the half cosine of `steps` steps is sin(pi / (2 steps)) of the force that it starts from
-        steepest = math.sin(math.pi / (2 * steps)) if steps else 1.0
-        for most, step in zip(self._capacity, self._step, strict=True):
-            if steps == 0 or steepest * most > step:
-                needed = math.ceil(math.pi / 2 / math.asin(min(1.0, step / most))) * sample_period
-                raise AbraceError(
-                    f"command guard: ramp_time {ramp_time:g} s, expected at least {needed:g} s to bring {most:g} N "
-                    f"to zero at {step / sample_period:g} N/s"
-                )
+        steps = _ramp_steps(sample_period, ramp_time)
+        if not steps:
+            raise AbraceError(
+                f"command guard: ramp_time {ramp_time:g} s, expected at least a sample_period, {sample_period:g} s"
+            )
+        for most, rate in zip(self._capacity, limits[1].tolist(), strict=True):
+            if problem := rate_problem(most, rate, sample_period, ramp_time):
+                raise AbraceError(f"{rate_name}: {problem}")
         self._ramp = [(1 + math.cos(math.pi * j / steps)) / 2 for j in range(1, steps)]
         self.saturations = 0
         self.rate_limits = 0
@@ -116,6 +153,9 @@ class CommandGuard:
         self.saturated, self.rate_limited = saturated, limited
         self.saturations += saturated and command is not None
         self.rate_limits += limited
+
+    def hold(self, samples: int) -> None:
+        """Nothing to do for the `samples` in which no command could be given: forces have no history."""
 
     def begin_to_rest(self) -> None:
         """Begin the ramp from the present force to zero."""

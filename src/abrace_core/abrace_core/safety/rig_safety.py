@@ -154,6 +154,9 @@ class Output(Protocol):
     def follow(self, command: Sequence[float] | None, share: float) -> None:
         """Apply a `share` of the command within the limits; None: of the last command."""
 
+    def hold(self, samples: int) -> None:
+        """Count `samples` in which the last values went on acting, because no command could be given."""
+
     def begin_to_rest(self) -> None:
         """Begin the ramp to rest; it advances from the next sample on."""
 
@@ -302,8 +305,14 @@ class RigSafety:
                 if command is not None and (problem := output.problem(command)):
                     self.fault(problem)
                     break
+        since = samples
         # a new ramp or fade advances by one sample, even if samples were lost before this one
         samples, self._entered = 1 if self._entered else samples, False
+        # a ramp to rest counts those that it advances by
+        held = since - (samples if self.state is State.RAMPING_DOWN else 1)
+        if held:
+            for output in self.outputs:
+                output.hold(held)
         if self.state is State.RUNNING:
             for output, command in zip(self.outputs, commands, strict=True):
                 output.follow(command, 1.0)

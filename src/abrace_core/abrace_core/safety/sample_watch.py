@@ -13,6 +13,8 @@ NEW_RUN, OLD = -1, -2
 
 _RATE_SAMPLES, _RATE_TOLERANCE = 50, 0.3
 """Number of samples over which the rate is checked, since single stamps vary; and the greatest error of the rate."""
+_FINE_SAMPLES, _FINE_TOLERANCE = 500, 0.02
+"""The same for small errors, a fault only twice in a row: one late stamp changes two rates, in opposite directions."""
 _KEPT_RUNS = 1000
 """Number of earlier runs that are remembered."""
 
@@ -44,6 +46,8 @@ class SampleWatch:
         self._period = sample_period * 1e9
         self._earlier: deque[int] = deque(maxlen=_KEPT_RUNS)
         self._rate_from: tuple[int, int] | None = None
+        self._fine_from: tuple[int, int] | None = None
+        self._fine_error = 0.0
         self.run = self.sequence = -1
         self.missing = self.old = 0
         self.problem: str | None = None
@@ -72,7 +76,8 @@ class SampleWatch:
             if self.run >= 0:
                 self._earlier.append(self.run)
             self.run, self.sequence, self.problem = run, sequence, None
-            self._rate_from = None
+            self._rate_from = self._fine_from = None
+            self._fine_error = 0.0
             return NEW_RUN
         if sequence <= self.sequence:
             self.old += 1
@@ -86,14 +91,27 @@ class SampleWatch:
         # from the second sample on: the first ones of a rig may be delayed
         first, since = self._rate_from = self._rate_from or (sequence, stamp)
         if sequence - first >= _RATE_SAMPLES:
-            period = (stamp - since) / (sequence - first)
             self._rate_from = sequence, stamp
-            if abs(period - self._period) > _RATE_TOLERANCE * self._period and self.problem is None:
-                self.problem = (
-                    f"samples {first} to {sequence} come {period * 1e-6:g} ms apart, "
-                    f"expected {self._period * 1e-6:g} ms (sample rate)"
-                )
+            problem = self._wrong_rate(first, since, sequence, stamp)
+            self.problem = self.problem or problem
         return lost
+
+    def _wrong_rate(self, first: int, since: int, sequence: int, stamp: int) -> str | None:
+        """Why the rate is wrong, either since the last check, or slightly in the last two long intervals."""
+        period = (stamp - since) / (sequence - first)
+        wrong = abs(period - self._period) > _RATE_TOLERANCE * self._period
+        fine_first, fine_since = self._fine_from = self._fine_from or (first, since)
+        if not wrong and sequence - fine_first >= _FINE_SAMPLES:
+            self._fine_from = sequence, stamp
+            first, period = fine_first, (stamp - fine_since) / (sequence - fine_first)
+            before, self._fine_error = self._fine_error, period / self._period - 1
+            wrong = min(abs(before), abs(self._fine_error)) > _FINE_TOLERANCE and before * self._fine_error > 0
+        if not wrong:
+            return None
+        return (
+            f"samples {first} to {sequence} come {period * 1e-6:g} ms apart, "
+            f"expected {self._period * 1e-6:g} ms (sample rate)"
+        )
 
     def restart(self) -> None:
         """Treat the next sample as the first one of its run."""

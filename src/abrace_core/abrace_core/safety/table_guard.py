@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     from abrace_core.safety.table_stop import Table
 
 
+STILL, DRIFT = 1.0, 0.02
+"""A table whose command is zero for this time [s] is at rest if its velocity is at most this share of the greatest:
+what is left is due to rounding and missed samples, and the table's own controller holds its position."""
+
+
 class TableGuard:
     """Limits the acceleration of a shake table, sample by sample; within the limits it passes bit for bit.
 
@@ -39,6 +44,7 @@ class TableGuard:
     def __init__(self, table: Table, sample_period: float) -> None:
         self._table, self._period = table, sample_period
         self._step = table.peak_jerk * sample_period
+        self._still, self._slow = 0.0, DRIFT * table.peak_velocity
         self.limits = 0
         self.state = TableState(sample_period)
         self.reset()
@@ -82,11 +88,27 @@ class TableGuard:
         return self._stop is None or self._stop.done
 
     def come_to_rest(self, samples: int = 1) -> None:
-        """Advance the stop by this number of `samples`."""
-        assert self._stop is not None
-        for _ in range(samples):
-            self._go(self._stop.next())
+        """Advance the stop by this number of `samples`; in all but the last the table could not be commanded."""
+        stop = self._stop
+        assert stop is not None
+        self.state.hold(samples - 1)
+        for _ in range(samples - 1):
+            stop.next()
+        self._go(stop.next())
+        if stop.done and abs(self.state.velocity) > self._slow:
+            self.begin_to_rest()
+
+    def hold(self, samples: int) -> None:
+        """Count `samples` in which the last acceleration went on, as no command could be given."""
+        self.state.hold(samples)
+        if not self.at_rest:
+            # the stop that has not begun yet begins from here
+            self.begin_to_rest()
 
     def _go(self, acceleration: float) -> None:
         self.value = [acceleration]
-        self.state.update(acceleration)
+        state = self.state
+        state.update(acceleration)
+        self._still = 0.0 if acceleration else self._still + self._period
+        if self._still >= STILL and abs(state.velocity) <= self._slow:
+            state.velocity = 0.0

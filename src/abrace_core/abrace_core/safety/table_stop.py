@@ -99,6 +99,12 @@ class TableState:
         self.velocity += period / 2 * (last + acceleration)
         self.acceleration = acceleration
 
+    def hold(self, samples: int) -> None:
+        """Advance by this number of `samples`, with the present acceleration."""
+        time = samples * self._period
+        self.displacement += time * (self.velocity + time / 2 * self.acceleration)
+        self.velocity += time * self.acceleration
+
 
 class TableStop:
     """The accelerations that bring a table to rest, one for each sample.

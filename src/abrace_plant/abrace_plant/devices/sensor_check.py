@@ -42,6 +42,8 @@ GAIN_ERROR = 0.1
 """Share by which two sensors' sizes may differ."""
 LEAST_SAMPLES = 100
 """Samples of a record, at least."""
+FINEST = 1e-12
+"""Share of the range that is the least expected noise: a simulated sensor may have neither noise nor steps."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class ChannelCheck:
     noise
         Standard deviation of what is white in it, from fourth differences, which slow motion hardly enters.
     expected_noise
-        Of the rig file.
+        Of the rig file, with that of the converter's steps.
     range_use
         Greatest reading over the end of the range.
     drift
@@ -137,16 +139,21 @@ def check_sensors(rig: Rig, readings: ArrayLike, ranges: ArrayLike | None = None
     sensors = rig.channel_sensors
     ends = np.array([sensor.range for sensor in sensors]) if ranges is None else np.asarray(ranges)
     ends = np.where(np.isfinite(ends), ends, [sensor.range for sensor in sensors])
-    expected = np.array([sensor.noise for sensor in sensors])
+    expected = np.array([np.hypot(sensor.noise, sensor.step / np.sqrt(12)) for sensor in sensors])
+    expected = np.maximum(expected, FINEST * np.array([sensor.range for sensor in sensors]))
     # the fourth difference of white noise has the variance 1 + 16 + 36 + 16 + 1 of its own
     noise = np.diff(values, 4, axis=0).std(axis=0) / np.sqrt(70)
     use = np.abs(values).max(axis=0) / ends
     time = np.linspace(-0.5, 0.5, len(values))
     drift = time @ values / (time @ time)
+    moves = values.std(axis=0) > MOTION * expected
     faults: list[list[str]] = [[] for _ in names]
     for i, column in enumerate(values.T):
         same = _longest_constant(column)
-        if same >= min(len(column), DEAD_TIME * rig.sample_rate):
+        # without noise a reading may stay the same, unless others of its kind move
+        alike = [moves[j] for j, sensor in enumerate(sensors) if sensor is sensors[i] and j != i]
+        noisy = sensors[i].noise >= sensors[i].step / 2
+        if same >= min(len(column), DEAD_TIME * rig.sample_rate) and (noisy or any(alike)):
             faults[i].append(f"dead: the same reading for {same / rig.sample_rate:.3g} s")
         at_end = int((np.abs(column) >= AT_END * ends[i]).sum())
         if at_end:

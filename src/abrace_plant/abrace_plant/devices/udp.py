@@ -249,7 +249,7 @@ class UdpDevice:
         self._exchanged = self._heard = 0.0
         self._used = time.monotonic_ns()
         self._answered: int | None = None
-        self._waiting: deque[tuple[Content, int, int]] = deque()
+        self._waiting: deque[tuple[Content, int, int, float]] = deque()
         self._stamp = self._newest = self._since = self._ticks = 0
         self._age = 0.0
         self.calibration.reset()
@@ -272,9 +272,9 @@ class UdpDevice:
         while True:
             self._look(deadline)
             while self._waiting:
-                content, stamp, ticks = self._waiting.popleft()
+                content, stamp, ticks, taken = self._waiting.popleft()
                 self._ticks += ticks
-                age = time.time_ns() - stamp - 1e9 * self.calibration.delay
+                age = time.monotonic_ns() - taken
                 if age > 1e9 * self.file.timeout:
                     self.dropped["stale"] += 1
                 elif not (newest and self._waiting):
@@ -320,8 +320,11 @@ class UdpDevice:
             age = self._clock.age(own, now)
         if abs(age) > 1e9 * self.file.timeout:
             raise Malformed("stale")
-        self._newest = max(wall - round(age + 1e9 * self.calibration.delay), self._newest + 1)
-        self._waiting.append((content, self._newest, self._since))
+        stamp = wall - round(age + 1e9 * self.calibration.delay)
+        # stamps grow, unless this computer's clock was set back
+        was_set_back = self._newest - stamp > 1e9 * self.file.timeout
+        self._newest = stamp if was_set_back else max(stamp, self._newest + 1)
+        self._waiting.append((content, self._newest, self._since, now - age))
         self._since = 0
         if content.answered is not None and content.answered != self._answered:
             behind = (self._counter - content.answered) % self._echo

@@ -15,6 +15,7 @@ import select
 import socket
 import time
 from dataclasses import fields
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from abrace_core.config_file import read_config
@@ -26,11 +27,13 @@ from abrace_plant.emulator.link import Faults
 from abrace_plant.emulator.modbus_port import ModbusPort
 from abrace_plant.emulator.ports import Port, UdpPort
 from abrace_plant.emulator.target import Target
+from abrace_plant.rig.sensors import parse_fault
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from abrace_plant.emulator.link import Link
     from abrace_plant.rig.model import Rig
 
 LONGEST_CATCH_UP = 0.02
@@ -103,7 +106,7 @@ class Emulator:
         self._channels = rig.channel_names
         self.target = Target(rig, seed, self._channels)
         self.port = target_port(path, rig, self.target, bridge, seed)
-        self._later: list[tuple[float, str]] = []
+        self._later: list[tuple[float, Callable[[], None]]] = []
         self._sensor_faults: dict[str, str] = {}
         self._frozen_until = 0.0
         self._late = 0
@@ -152,37 +155,23 @@ class Emulator:
             self._obey()
 
     def cause(self, text: str) -> None:
-        """Let a fault begin, or end, as the `text` says.
+        """Let a fault begin, or end, as the `text` says, at once or later; it is checked at once.
 
         Raises
         ------
         AbraceError
             If there is no such fault, or its value is none that it can have.
         """
+        if text == "clear":
+            self._clear()
+            return
         name, _, rest = text.partition("=")
         value, at, begin = rest.partition("@")
+        act = self._checked(text, name, value)
         if at:
-            self._later.append((_number(text, begin), f"{name}={value}"))
-        elif text == "clear":
-            for link in self.port.links.values():
-                link.faults = Faults()
-            self._sensor_faults.clear()
-            self.target.set_sensor_faults([])
-        elif name == FREEZE:
-            self._frozen_until = time.monotonic() + _number(text, value)
-        elif name in self._channels:
-            kept = {key: kind for key, kind in self._sensor_faults.items() if key != name}
-            found = kept if value == "well" else kept | {name: value}
-            self.target.set_sensor_faults([f"{channel}={kind}" for channel, kind in found.items()])
-            self._sensor_faults = found
+            self._later.append((_number(text, begin), act))
         else:
-            direction, dot, fault = name.rpartition(".")
-            links = [link for key, link in self.port.links.items() if direction == key or not dot]
-            if fault not in LINK_FAULTS or not links:
-                known = ", ".join([*LINK_FAULTS, FREEZE, "clear", *self._channels])
-                raise AbraceError(f"fault {text!r}: expected NAME=VALUE or NAME=VALUE@SECONDS, the name one of {known}")
-            for link in links:
-                setattr(link.faults, fault, _number(text, value))
+            act()
 
     def report(self) -> dict[str, Any]:
         """Counts so far, and the greatest steps that reached the actuators."""
@@ -207,10 +196,40 @@ class Emulator:
         if self._control is not None:
             self._control.close()
 
+    def _checked(self, text: str, name: str, value: str) -> Callable[[], None]:
+        """What lets the fault begin or end; the whole fault has been checked before it is called."""
+        if name == FREEZE:
+            return partial(self._freeze, _number(text, value))
+        if name in self._channels:
+            if value != "well":
+                parse_fault(f"{name}={value}", self._channels, self.target.period)
+            return partial(self._set_sensor_fault, name, value)
+        direction, dot, fault = name.rpartition(".")
+        links = [link for key, link in self.port.links.items() if direction == key or not dot]
+        if fault not in LINK_FAULTS or not links:
+            known = ", ".join([*LINK_FAULTS, FREEZE, "clear", *self._channels])
+            raise AbraceError(f"fault {text!r}: expected NAME=VALUE or NAME=VALUE@SECONDS, the name one of {known}")
+        return partial(_set_link_fault, links, fault, _number(text, value))
+
+    def _clear(self) -> None:
+        for link in self.port.links.values():
+            link.faults = Faults()
+        self._sensor_faults.clear()
+        self.target.set_sensor_faults([])
+
+    def _freeze(self, seconds: float) -> None:
+        self._frozen_until = time.monotonic() + seconds
+
+    def _set_sensor_fault(self, channel: str, kind: str) -> None:
+        self._sensor_faults.pop(channel, None)
+        if kind != "well":
+            self._sensor_faults[channel] = kind
+        self.target.set_sensor_faults([f"{name}={kind}" for name, kind in self._sensor_faults.items()])
+
     def _cause_what_is_due(self, now: float) -> None:
         for entry in [entry for entry in self._later if now - self._started >= entry[0]]:
             self._later.remove(entry)
-            self.cause(entry[1])
+            entry[1]()
 
     def _obey(self) -> None:
         """Carry out what came to the control port, and answer."""
@@ -225,6 +244,11 @@ class Emulator:
                 except AbraceError as error:
                     answer = str(error)
                 self._control.sendto((answer or "ok").encode(), sender)
+
+
+def _set_link_fault(links: Sequence[Link], fault: str, value: float) -> None:
+    for link in links:
+        setattr(link.faults, fault, value)
 
 
 def _number(text: str, value: str) -> float:

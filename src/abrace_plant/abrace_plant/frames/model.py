@@ -80,19 +80,37 @@ def modal_building(building: FrameBuilding, modes: int = 0) -> ModalBuilding:
     energy = building.frame.masses[:, 0] @ nodes.reshape(-1, 3, len(frequencies))[:, 0] ** 2
     picked = np.flatnonzero(energy > STILL)[: modes or None]
     frequencies, shapes, nodes = frequencies[picked], shapes[:, picked], nodes[:, picked]
+    return ModalBuilding(
+        frequencies,
+        (of_mass / frequencies + of_stiffness * frequencies) / 2,
+        shapes.T @ structure.ground_load,
+        nodes[3 * np.array(building.levels)],
+        _bending(building) @ nodes,
+    )
+
+
+def static_curvature(building: FrameBuilding) -> NDArray[np.float64]:
+    """(ends, levels) curvature over yield curvature at the members' ends for each metre of a level's displacement.
+
+    Everything between the levels of the `building` follows them statically, as in `level_building`: what is left out is
+    the floors' vertical inertia. The ends are those of `ModalBuilding.curvature`.
+    """
+    whole = building.frame.structure()
+    of_level = whole.displacements[3 * np.array(building.levels)]
+    flexible = np.linalg.solve(whole.stiffness, of_level.T)
+    nodes = whole.displacements @ flexible @ np.linalg.inv(of_level @ flexible)
+    return np.asarray(_bending(building) @ nodes)
+
+
+def _bending(building: FrameBuilding) -> NDArray[np.float64]:
+    """(ends, nodes' displacements) curvature over yield curvature at the members' ends, hinges left out."""
     strength = [
         (0.0 if hinged else 1 / (member.section.bending * member.section.yield_curvature))
         for member in building.frame.members
         for hinged in member.hinged
     ]
     ends = np.flatnonzero(strength)
-    return ModalBuilding(
-        frequencies,
-        (of_mass / frequencies + of_stiffness * frequencies) / 2,
-        shapes.T @ structure.ground_load,
-        nodes[3 * np.array(building.levels)],
-        (building.frame.end_moments()[ends] @ nodes) * np.array(strength)[ends, None],
-    )
+    return np.asarray(building.frame.end_moments()[ends] * np.array(strength)[ends, None])
 
 
 def _rayleigh(building: FrameBuilding, frequencies: NDArray[np.float64]) -> tuple[float, float]:

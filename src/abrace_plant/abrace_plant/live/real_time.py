@@ -83,11 +83,13 @@ class RealTimeRun(threading.Thread):
             try:
                 reading = self._device.exchange(force, table)
             except DeviceError as error:
+                # a device that fails at once would be asked thousands of times a second, and ramps would be as fast
+                time.sleep(max(0.0, tick + period - monotonic()))
                 now = monotonic()
                 tick, samples = now, max(1, round((now - tick) / period))
                 with self._answered:
                     loop.fail(str(error), samples)
                 continue
-            tick, samples = monotonic() - reading.age, 1 + reading.missed
+            tick, samples = monotonic() - max(0.0, reading.age), 1 + reading.missed
             with self._answered:
                 self._publish(loop.take(reading))

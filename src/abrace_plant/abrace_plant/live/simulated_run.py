@@ -7,6 +7,7 @@ in the graph.
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -73,7 +74,12 @@ def simulated_run(
         cause = cause or sample.cause
         loop.receive_ground_acceleration(sample.stamp, acceleration)
         loop.receive_command(NUMBER, k, force(k, z), "")
-    facts = {"rig": rig.name, "sample_period": repr(1 / rig.sample_rate), "sensor_seed": str(seed)}
+    facts = {
+        "rig": rig.name,
+        "sample_period": repr(1 / rig.sample_rate),
+        "capacity": json.dumps(rig.capacity.tolist()),
+        "sensor_seed": str(seed),
+    }
     warnings = {"warnings": [f"{source}: the rig was stopped: {cause}"]} if cause else {}
     sequence = np.arange(len(ground), dtype=np.uint64)
     size = (rig.floors, rig.groups)

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from abrace_bags.run import read_run
+from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.node import AbraceNode, Parameter, find_file, run
+from abrace_core.run import Run
 from abrace_plant.devices.device import Device
 from abrace_plant.devices.file import load_device
 from abrace_plant.devices.sensor_check import check_sensors
@@ -50,8 +52,7 @@ class CheckSensors(AbraceNode):
             raise AbraceError("parameters device, bag: expected one of them")
         ranges = None
         if given.bag:
-            recorded = read_run(given.bag)
-            readings = np.column_stack([recorded.outputs, recorded.ground_acceleration])
+            readings = recorded_readings(read_run(given.bag), rig)
         else:
             device = load_device(find_file(given.device, "abrace_plant", "config/devices", ".yaml", "device"), rig)
             ranges = getattr(getattr(device, "calibration", None), "range", None)
@@ -61,6 +62,18 @@ class CheckSensors(AbraceNode):
         if given.output:
             write_text(Path(given.output), json.dumps(asdict(found), indent=1) + "\n")
         self.exit_code = 0 if found.well else 1
+
+
+def recorded_readings(recorded: Run, rig: Rig) -> NDArray[np.float64]:
+    """(samples, channels) of a recorded test, with the force of each brace, as a device of the rig gives them."""
+    names = signals.channel_names(recorded.floors, recorded.braces)
+    if names != rig.channel_names or recorded.forces is None:
+        raise AbraceError(
+            f"{recorded.source}: has the channels {', '.join(names)}, expected those of the rig {rig.name}: "
+            f"{', '.join(rig.channel_names)}"
+        )
+    others = recorded.outputs[:, : recorded.outputs.shape[1] - recorded.groups]
+    return np.column_stack([others, recorded.forces, recorded.ground_acceleration])
 
 
 def read_at_rest(device: Device, rig: Rig, samples: int) -> NDArray[np.float64]:

@@ -24,6 +24,7 @@ from abrace_core.wire import Head, pack_acceleration
 from abrace_interfaces.action import PlayGroundMotion
 from abrace_plant.live.playback import Playback
 from abrace_plant.nodes.record_parameters import MOTION_PARAMETERS, motion_as_given, table_as_given
+from abrace_plant.records.table_motion import RECORD_REMEDIES, check_motion
 
 FEEDBACK_EVERY = 50
 """Samples between feedback messages: ten a second at 500 Hz."""
@@ -62,6 +63,7 @@ class GroundMotion(Commander):
     def configure(self) -> None:
         """Load the record that is played at once, create the topics and the action."""
         given = self.parameters
+        self.rests_at, self.run_of_table = 0.0, -1
         self.table = table_as_given(given)
         self.first_motion = self.motion(given.record, given.peak_acceleration, given.duration) if given.record else None
         self.cancelled = ""
@@ -80,8 +82,12 @@ class GroundMotion(Commander):
 
     def motion(self, record: str, peak_acceleration: float, duration: float) -> np.ndarray:
         """The ground motion (samples,) [m/s^2] at the rig's sample rate, if the table can play it."""
-        at = self.playback.displacement if self.playback is not None else 0.0
-        return motion_as_given(self.parameters, self.table, record, peak_acceleration, duration, at)
+        return motion_as_given(self.parameters, self.table, record, peak_acceleration, duration, self.displacement)
+
+    @property
+    def displacement(self) -> float:
+        """Where the table is, as commanded since the run began [m]."""
+        return self.playback.displacement if self.playback is not None else self.rests_at
 
     def moving(self) -> bool:
         """Whether the table moves."""
@@ -89,15 +95,22 @@ class GroundMotion(Commander):
 
     def play(self, motion: np.ndarray) -> Playback:
         """The playback of a motion from where the table is."""
-        at = self.playback.displacement if self.playback is not None else 0.0
-        return Playback(motion, self.parameters.sample_rate, self.table, at)
+        return Playback(motion, self.parameters.sample_rate, self.table, self.displacement)
 
     def activate(self) -> None:
         """Answer from the next sample on, and play the record of the parameters once in each run of the rig."""
+        self.check_from_here()
         super().activate()
         self.cancelled = ""
         self.played_in_run = -1
         self.let_go = False
+
+    def check_from_here(self) -> None:
+        """Refuse the record of the parameters if the table would not have room for it from where it is."""
+        if self.first_motion is not None and self.displacement:
+            given = self.parameters
+            remedies = {**RECORD_REMEDIES, "displacement": "the table in the middle: move it there, cleanup, configure"}
+            check_motion(self.first_motion, given.sample_rate, self.table, given.record, remedies, self.displacement)
 
     def come_to_rest(self) -> None:
         """Cancel the motion, if one plays; the answers go on until the table is at rest."""
@@ -170,9 +183,18 @@ class GroundMotion(Commander):
                 return
             self.playback.cancelled = True
             self.end_goal(self.playback)
-        self.playback = None
-        if self.first_motion is not None and not self.cancelled:
-            self.playback = self.play(self.first_motion)
+        # the table of another run is taken to be in the middle
+        self.rests_at = self.displacement if run == self.run_of_table else 0.0
+        self.playback, self.run_of_table = None, run
+        if self.first_motion is None or self.cancelled:
+            return
+        try:
+            self.check_from_here()
+        except AbraceError as error:
+            self.cancelled = str(error)
+            self.get_logger().error(self.cancelled)
+            return
+        self.playback = self.play(self.first_motion)
 
     def on_goal(self, request: PlayGroundMotion.Goal) -> GoalResponse:
         """Accept a goal unless a motion plays or is about to, or nothing may act."""

@@ -5,7 +5,9 @@
   is an acceleration, two columns are time [s] and acceleration. Without a channel the only such series is read.
 - a bag directory or a `.mcap` file: the channel is `topic:field`, the field as `abrace_bags.read_topics` names it,
   as `response:ground_acceleration`, `ground_motion:accel.linear.x` or `response:acceleration[2]`. Messages of ROS are
-  in SI units. Their times are the stamps of their headers, and those of the log where they have no header.
+  in SI units. Their times are the stamps of their headers, and those of the log where they have no header; these may
+  have jitter, as in a recording in real time. Where messages have a `sequence`, their numbers show whether one is
+  missing.
 """
 
 from __future__ import annotations
@@ -121,7 +123,7 @@ def read_bag(name: str, path: Path, channel: str | None) -> Reading:
 
 
 def _field(name: str, topic: str, messages: TopicArrays, field: str, index: str | None) -> Reading:
-    """A field of a topic, in equal steps of its stamps."""
+    """A field of a topic, at the mean step of its stamps; none of its messages may be missing."""
     values = messages.fields.get(field)
     if values is None or not _is_number(values):
         listed = ", ".join(_numeric(messages)) or "none"
@@ -142,8 +144,11 @@ def _field(name: str, topic: str, messages: TopicArrays, field: str, index: str 
     def error_at(message: str, sample: int | None) -> AbraceError:
         return record_error(name, message, topic if sample is None else f"{topic}, message {sample + 1}")
 
-    times = (nanoseconds - nanoseconds[:1]) * 1e-9
-    return checked_reading(values, error_at, unit="m/s^2", times=times)
+    stamps = (nanoseconds - nanoseconds[:1]) * 1e-9
+    numbers = messages.fields.get("sequence")
+    if numbers is not None and not (numbers.dtype.kind in "iu" and numbers.ndim == 1):
+        numbers = None
+    return checked_reading(values, error_at, unit="m/s^2", stamps=stamps, numbers=numbers)
 
 
 def _is_number(values: NDArray[Any]) -> bool:

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Common parts of the readers of all formats: units of acceleration, lines of text, and checks of the values read.
 
-In every format a reading has at least two finite values, and its times, if the file has any, have equal steps.
+In every format a reading has at least two finite values, and its times, if the file has any, have equal steps. The
+stamps of messages that were recorded in real time have jitter: there every sample must be present, and the sample
+period is the slope of the straight line through the stamps.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -73,6 +75,8 @@ def checked_reading(
     unit: str | None,
     sample_period: float | None = None,
     times: ArrayLike | None = None,
+    stamps: ArrayLike | None = None,
+    numbers: ArrayLike | None = None,
 ) -> Reading:
     """Values and times as a reading, after checks.
 
@@ -88,11 +92,16 @@ def checked_reading(
         [s], where the file states it.
     times
         (samples,) [s], where the file has them: they give the period.
+    stamps
+        (samples,) [s], instead of times: instants that were measured, with jitter.
+    numbers
+        (samples,) integers, of the samples, where messages with stamps have them: they must be consecutive. Without
+        them each step between stamps must be nearer to the usual step than to none or two.
 
     Raises
     ------
     AbraceError
-        If there are fewer than two values, one is not finite, or the steps of time are not equal.
+        If there are fewer than two values, one is not finite, the steps of time are not equal, or a sample is missing.
     """
     acceleration = np.asarray(values, dtype=np.float64)
     if len(acceleration) < 2:
@@ -102,6 +111,13 @@ def checked_reading(
         raise error_at(f"{acceleration[wrong[0]]:g}, expected a finite acceleration", int(wrong[0]))
     if times is not None:
         sample_period = _equal_step(np.asarray(times, dtype=np.float64), error_at)
+    elif stamps is not None:
+        instants = np.asarray(stamps, dtype=np.float64)
+        if numbers is not None:
+            _check_consecutive(np.asarray(numbers), error_at)
+        sample_period = _mean_step(instants, error_at)
+        if numbers is None:
+            _check_steps(instants, sample_period, error_at)
     return Reading(acceleration, sample_period, unit)
 
 
@@ -118,6 +134,44 @@ def _equal_step(times: NDArray[np.float64], error_at: Callable[[str, int | None]
             worst = int(np.argmax(np.abs(steps - usual))) + 1
             raise error_at(f"time step {steps[worst - 1]:g} s, expected equal steps of {usual:g} s", worst)
     return period
+
+
+def _check_consecutive(numbers: NDArray[Any], error_at: Callable[[str, int | None], AbraceError]) -> None:
+    """Raise an error that says which numbers of samples are missing, or not in order."""
+    unequal = np.flatnonzero(numbers[1:] != numbers[:-1] + 1)
+    if not unequal.size:
+        return
+    before, after = (int(number) for number in numbers[unequal[0] : unequal[0] + 2])
+    sample = int(unequal[0]) + 1
+    if after <= before:
+        raise error_at(f"sample number {after} after {before}, expected consecutive numbers of one run", sample)
+    missing = f"sample {before + 1} is" if after == before + 2 else f"samples {before + 1} to {after - 1} are"
+    raise error_at(f"{missing} missing before it, expected consecutive numbers", sample)
+
+
+def _mean_step(stamps: NDArray[np.float64], error_at: Callable[[str, int | None], AbraceError]) -> float:
+    """The step of the straight line through stamps [s] with the least squares of deviations."""
+    places = np.arange(len(stamps)) - (len(stamps) - 1) / 2
+    period = float(places @ (stamps - stamps.mean()) / (places @ places))
+    if not period > 0 or not stamps[-1] > stamps[0]:
+        raise error_at("times that do not increase, expected equal steps", len(stamps) - 1)
+    return period
+
+
+def _check_steps(
+    stamps: NDArray[np.float64], period: float, error_at: Callable[[str, int | None], AbraceError]
+) -> None:
+    """Raise an error at a stamp [s] that is not one step after the last, or half a period [s] from a straight line."""
+    steps = np.diff(stamps)
+    usual = float(np.median(steps))
+    worst = int(np.argmax(np.abs(steps - usual))) + 1
+    if not abs(steps[worst - 1] - usual) < usual / 2:
+        raise error_at(f"time step {steps[worst - 1]:g} s, expected equal steps of {usual:g} s", worst)
+    off = stamps - stamps.mean() - period * (np.arange(len(stamps)) - (len(stamps) - 1) / 2)
+    farthest = int(np.argmax(np.abs(off)))
+    if not abs(off[farthest]) < period / 2:
+        message = f"{off[farthest]:g} s off equal steps of {period:g} s, expected less than half a step"
+        raise error_at(message, farthest)
 
 
 class RecordText:

@@ -282,7 +282,8 @@ class Rig:
         inputs = (signals.GROUND, *signals.command_names(groups)) if groups else (signals.GROUND,)
         outputs = signals.response_names(n, groups) if groups else tuple(f"{k}{i + 1}" for k in "xa" for i in range(n))
         delay = (0.0, *(group.actuator.command_delay for group in self.braces))
-        return LinearModel(a, b, c, d, inputs, outputs, input_delay=delay, provenance={"rig": self.name})
+        of_rig = {"rig": self.name, "sample_period": 1 / self.sample_rate, "force_limit": self.capacity.tolist()}
+        return LinearModel(a, b, c, d, inputs, outputs, input_delay=delay, provenance=of_rig)
 
     def discrete_model(self) -> LinearModel:
         """The exact discrete model at the rig's sample rate: commands held, ground acceleration linear in between."""

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core.errors import AbraceError
+from abrace_core.safety.command_guard import rate_problem
+from abrace_core.safety.rig_safety import RAMP_TIME
 from abrace_plant.rig.building import STANDARD_GRAVITY as G
 from abrace_plant.rig.building import storey_direction
 
@@ -127,7 +129,7 @@ def _short(value: float) -> str:
 
 
 def check_units(rig: Rig, stiffness: Sequence[Number], damping: Sequence[Number]) -> None:
-    """Refuse a rig with a number that seems to be in another unit.
+    """Refuse a rig with a number that seems to be in another unit, or a rate limit too low to ramp the force down.
 
     Parameters
     ----------
@@ -142,7 +144,8 @@ def check_units(rig: Rig, stiffness: Sequence[Number], damping: Sequence[Number]
     Raises
     ------
     AbraceError
-        `<key>: <number>, expected <range>, ...; is it in <unit>?`, for the first rule that does not hold.
+        `<key>: <number>, expected <range>, ...; is it in <unit>?`, for the first rule that does not hold, or
+        `<key>: <rate limit>, expected at least <rate limit> ...`.
     """
     masses = [Number(f"building.masses.{i}", mass, "kg") for i, mass in enumerate(rig.building.masses)]
     rules = [
@@ -156,6 +159,10 @@ def check_units(rig: Rig, stiffness: Sequence[Number], damping: Sequence[Number]
     for rule in rules:
         if not rule.holds():
             raise AbraceError(rule.error(rules))
+    for i, group in enumerate(rig.braces):
+        actuator = group.actuator
+        if problem := rate_problem(actuator.capacity, actuator.rate_limit, 1 / rig.sample_rate, RAMP_TIME):
+            raise AbraceError(f"braces.{i}.actuator.rate_limit: {problem}")
 
 
 def _median(numbers: Sequence[Number], power: float) -> Number:
