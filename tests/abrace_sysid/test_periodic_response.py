@@ -249,3 +249,40 @@ def test_what_cannot_be_estimated_is_refused_with_the_reason(laboratory, apart, 
     both = laboratory.open_loop("bags/both", played("w", period=4096), played("U", period=4096))
     with pytest.raises(AbraceError, match=r"w and U both excite the line at .* Hz, expected inputs on different lines"):
         periodic_response(both, "w", BANDS["w"])
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_the_free_decay_of_known_modes_is_removed(rig, laboratory, relative_error, name):
+    """Periods of 8 s and rest before: half of the first mode's decay is left after the dropped period."""
+    signal = played(name, periods=3, rest=700, period=4096)
+    given = (signal, 0 * signal) if name == "w" else (0 * signal, signal)
+    run = laboratory.open_loop("bags/short", *given)
+    poles = rig.model.poles()
+    one, other = (
+        periodic_response(run, name, BANDS[name], poles=known).frequency_response
+        for known in (None, poles[poles.imag > 0])
+    )
+    assert relative_error(other).max() < relative_error(one).max() / 3, (relative_error(one), relative_error(other))
+    assert (other.sigma.max(axis=0) < one.sigma.max(axis=0) / 2).all()
+
+
+def test_poles_that_no_response_has_change_next_to_nothing(apart):
+    one, other = (
+        periodic_response(apart["w"], "w", BANDS["w"], poles=known).frequency_response
+        for known in (None, np.array([-0.2 + 14.0j, -1.0 + 50.0j]))
+    )
+    assert np.median(np.abs(other.response - one.response) / one.sigma) < 0.5
+
+
+def test_six_multisines_find_the_slowest_mode(rig, laboratory_of):
+    """One period is dropped, in which the slowest mode decays to 1/28: what is left of it must not count."""
+    table, command = (
+        [laboratory_of(rig, 2 * seed + i).multisine_test(not i, bool(i), 3) for seed in range(6)] for i in range(2)
+    )
+    poles = identify(table, command).poles
+    slowest = min((pole for pole in rig.model.poles() if pole.imag > 0), key=abs)
+    frequency, damping = abs(slowest), -slowest.real / abs(slowest)
+    for pair in (poles.table_pairs[0], poles.command_pairs[0]):
+        assert pair.frequency == pytest.approx(frequency, rel=7e-6)
+        assert pair.damping == pytest.approx(damping, rel=3e-4)
+        assert pair.damping_deviation < 3.5e-4 * damping

@@ -13,6 +13,7 @@ from abrace_plant.rig.file import load_rig
 from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.identification import identify
 from abrace_sysid.validation import compare
+from abrace_sysid.validity.judgement import judge
 from abrace_sysid.validity.kinematics import kinematics
 from abrace_sysid.validity.mechanics import backlashes, floor_masses
 from abrace_sysid.validity.motion import Motion
@@ -38,6 +39,17 @@ def rest():
 def table(five, rest):
     ground = Laboratory._noise(SECONDS, 25.0, 0.25, 3)
     return Laboratory(five, 1).open_loop("bags/table", ground, np.column_stack([rest, rest]))
+
+
+def test_sensors_of_a_tall_building_that_moves_almost_as_one_do_not_contradict_each_other():
+    """Ten floors in the table's test: their displacements are so much alike that sensor noise tells them apart."""
+    ten = load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/ten_storey.yaml")
+    ground = Laboratory._noise(SECONDS, 25.0, 0.25, 3)
+    run = Laboratory(ten, 1).open_loop("bags/table", ground, np.zeros((len(ground), ten.groups)))
+    found = kinematics(Motion.of(run, 25.0), (0.3, 25.0))
+    assert set(found.contradictions) >= {"xf1", "xf2", "xf3", "xf4"}
+    assert max(found.contradictions.values()) < 0.001, found.contradictions
+    assert not found.changes
 
 
 def noise(seed, rms):
@@ -130,3 +142,25 @@ def test_groups_excited_by_the_same_noise_are_refused(five, rest, table):
 def test_other_fits_of_several_groups_are_refused(five, rest, table):
     with pytest.raises(AbraceError, match="fit vector_fitting of 2 commands, expected maximum_likelihood"):
         identify(table, commands_of(five, rest, "noise at once"), replace(OPTIONS, fit="vector_fitting"))
+
+
+def test_multisines_on_table_and_both_groups_lose_no_channel_and_are_not_taken_for_nonlinear(five):
+    """After one period of 16 s the slowest mode still decays; f1 and f2 answer the commands far more than the table."""
+    periods, period = 4, 16.384
+    parts = [
+        repeated_multisine(periods * period, period, 500.0, (0.3, high), rms, 1, lines, 0.0, share)
+        for high, rms, lines, share in (
+            (25.0, 0.25, "odd", (0, 1)),
+            (30.0, 3500.0, "even", (0, 2)),
+            (30.0, 7000.0, "even", (1, 2)),
+        )
+    ]
+    run = Laboratory(five, 3).open_loop("bags/all", parts[0], np.column_stack(parts[1:]))
+    found = identify(run, run)
+    assert found.model.outputs == run.names
+    assert not found.warnings
+    own = np.array(pole_table(five.model.poles()))
+    pairs = np.array([(pair.frequency, pair.damping) for pair in found.poles.common_pairs])[: len(own)]
+    assert np.abs(pairs / own - 1).max(axis=0) == pytest.approx(0, abs=0.02)
+    validity = judge([run], [run], IdentificationOptions(), found).validity
+    assert validity.verdict.words == "trust", validity.text()

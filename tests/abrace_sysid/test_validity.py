@@ -2,6 +2,7 @@
 """What validity says of a linear rig, and of each planted fault."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -67,6 +68,20 @@ def test_residuals_of_a_linear_rig_are_as_large_as_its_noise(judged):
     for residual in judged.residuals:
         assert residual.ratio.mean(axis=0) == pytest.approx(1.0, abs=0.15)
         assert residual.excess.max() < 0.004
+
+
+def test_repeated_multisines_of_a_building_that_has_changed_between_them_disagree(rig, laboratory_of):
+    softer = replace(rig, building=replace(rig.building, stiffness=0.98 * rig.building.stiffness))
+
+    def repeated(*rigs, table):
+        runs = [laboratory_of(one, seed).multisine_test(table, not table, 3) for seed, one in enumerate(rigs, 3)]
+        return [replace(run, source=f"bags/test_{number}") for number, run in enumerate(runs, 1)]
+
+    table, command = repeated(rig, rig, table=True), repeated(rig, softer, table=False)
+    validity = judge(table, command, OPTIONS, identify(table, command, OPTIONS)).validity
+    (same, other) = [finding for finding in validity.findings if finding.check == "repeated tests"]
+    assert (same.verdict, other.verdict) == (Verdict.TRUST, Verdict.CARE), (same, other)
+    assert re.search(r"test_1 and test_2 do not agree: mode at .* Hz, frequency -(0\.9|1\.0)\d %", other.meaning)
 
 
 @pytest.mark.parametrize("both", [("x1", "x2"), ("a2", "a3"), ("x1", "xf"), ("x2", "a2"), ("x3", "f")])

@@ -10,6 +10,7 @@ reduced model       the consistent model after balanced truncation (Eq. 9): for 
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,7 @@ from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.run import Run
 from abrace_sysid.fitting.options import FIT_METHODS, IdentificationOptions
-from abrace_sysid.fitting.pole_fits import PoleFit, fit_poles_of
+from abrace_sysid.fitting.pole_fits import PoleFit, fit_poles_of, steady
 from abrace_sysid.models.consistent import consistent_model, realize_together
 from abrace_sysid.models.modal import modal_covariance, modal_model, servo_lags, without_lags
 from abrace_sysid.models.realization import realize, superpose, unexplained
@@ -163,9 +164,10 @@ def identify(
             f"{tables[0].source}: noise on table and commands at once is used from {low:g} to {high:g} Hz",
         )
     else:
-        from_table = _test_data(tables, (signals.GROUND,), options.table_band, options)[0]
+        others = names if same_tests else ()
+        from_table = _test_data(tables, (signals.GROUND,), options.table_band, options, others)[0]
         progress("transfer functions from the command", 0.2)
-        from_commands = _command_tests(commands, options)
+        from_commands = _command_tests(commands, options, (signals.GROUND,) if same_tests else ())
     outputs = [name for name in from_table.outputs if all(name in data.outputs for data in from_commands)]
     from_table, from_commands = from_table.select(outputs), tuple(data.select(outputs) for data in from_commands)
 
@@ -173,6 +175,9 @@ def identify(
     floors = tables[0].floors
     poles = fit_poles_of(from_table, from_commands, floors, options, progress)
     progress("numerators", 0.85)
+    if poles.estimate is not None:
+        from_table = steady(from_table, poles.estimate)
+        from_commands = tuple(steady(data, poles.estimate) for data in from_commands)
     tests = (from_table, *from_commands)
     provenance: dict[str, Any] = {
         "bags": {"table": [run.source for run in tables], "command": [run.source for run in commands]},
@@ -190,6 +195,8 @@ def identify(
     highest = float(from_commands[0].responses[0].omega[-1])
     if poles.estimate is not None:
         delays |= servo_lags(poles.estimate, highest)
+    if "capacity" in tables[0].facts:
+        provenance["force_limit"] = _capacity(tables[0])
     provenance["lags"] = delays
     if poles.estimate is not None:
         whole = modal_model(without_lags(poles.estimate, highest), provenance)
@@ -270,8 +277,13 @@ def _superposed(
     return superpose(parts, (table.input, *(command.input for command in commands)), table.outputs)
 
 
-def _command_tests(runs: tuple[Run, ...], options: IdentificationOptions) -> tuple[TestData, ...]:
-    """The tests grouped by command; commands that were excited at once are estimated together."""
+def _command_tests(
+    runs: tuple[Run, ...], options: IdentificationOptions, others: tuple[str, ...] = ()
+) -> tuple[TestData, ...]:
+    """The tests grouped by command; commands that were excited at once are estimated together.
+
+    `others`: inputs that were excited as well, on other lines.
+    """
     names = runs[0].command_names
     kinds: dict[tuple[str, ...], list[Run]] = {}
     for run in runs:
@@ -279,12 +291,12 @@ def _command_tests(runs: tuple[Run, ...], options: IdentificationOptions) -> tup
         kinds.setdefault(excited, []).append(run)
     found: dict[str, TestData] = {}
     for excited, same in kinds.items():
-        for data in _test_data(tuple(same), excited, options.command_band, options):
+        for data in _test_data(tuple(same), excited, options.command_band, options, others):
             if data.input in found:
-                others = ", ".join(run.source for run in found[data.input].runs)
+                sources = ", ".join(run.source for run in found[data.input].runs)
                 raise AbraceError(
                     f"{data.source}: {data.input} is excited here in the set {' and '.join(excited)}, but in another "
-                    f"set in {others}; expected every command either alone or always with the same commands"
+                    f"set in {sources}; expected every command either alone or always with the same commands"
                 )
             found[data.input] = data
     missing = [name for name in names if name not in found]
@@ -299,6 +311,7 @@ def _test_data(
     names: tuple[str, ...],
     band: tuple[float, float],
     options: IdentificationOptions,
+    others: tuple[str, ...] = (),
 ) -> tuple[TestData, ...]:
     """Check the tests of inputs that were excited at once, and estimate the transfer functions of each input."""
     periods = [max((find_period(held_input(run, name)) or 0 for name in names), default=0) or None for run in runs]
@@ -306,7 +319,7 @@ def _test_data(
     named = " and ".join(names)
     if any(periodic) and not all(periodic):
         raise AbraceError(f"tests of {named}: {periodic.count(True)} of {len(runs)} are periodic, expected all or none")
-    recordings = [prepare(run, names, band, period) for run, period in zip(runs, periods, strict=True)]
+    recordings = [prepare(run, names, band, period, others) for run, period in zip(runs, periods, strict=True)]
     prepared = tuple(recording.run for recording in recordings)
     if all(periodic):
         responses = [tuple(periodic_response(run, name, band).frequency_response for run in prepared) for name in names]
@@ -330,6 +343,20 @@ def _repeated_realizations(runs: Sequence[Run], names: Sequence[str]) -> tuple[s
                 advice = "expected different seeds, or the intervals do not include nonlinear distortion"
                 return (f"{one.source} and {other.source}: the same multisine of {name}; {advice}",)
     return ()
+
+
+def _capacity(run: Run) -> list[float]:
+    """The capacity of the rig's braces, of each group [N]: a fact of the test."""
+    text = run.facts["capacity"]
+    try:
+        found = [float(force) for force in json.loads(text)]
+    except (TypeError, ValueError):
+        found = []
+    if len(found) != run.groups or not all(0 < force < np.inf for force in found):
+        raise AbraceError(
+            f"{run.source}: fact capacity {text!r}, expected [N], one for each of {run.groups} brace groups"
+        )
+    return found
 
 
 def _check_options(options: IdentificationOptions) -> None:

@@ -77,7 +77,13 @@ class Recording:
         return tuple(name for name in self.run.names if name not in self.left_out)
 
 
-def prepare(run: Run, inputs: Sequence[str], band: tuple[float, float], period: int | None = None) -> Recording:
+def prepare(
+    run: Run,
+    inputs: Sequence[str],
+    band: tuple[float, float],
+    period: int | None = None,
+    others: Sequence[str] = (),
+) -> Recording:
     """Check a test, take its longest piece without a gap, and remove trends.
 
     Parameters
@@ -85,12 +91,14 @@ def prepare(run: Run, inputs: Sequence[str], band: tuple[float, float], period: 
     run
         The test.
     inputs
-        Names of all inputs that were excited.
+        Names of the inputs to which the responses are wanted.
     band
         Lowest and highest frequency [Hz] of the excitation.
     period
         Samples in a period of a periodic excitation; None: noise. From a response to noise a straight line is removed,
         from a periodic response only the mean, since a line fitted to it would follow the periods.
+    others
+        Names of inputs excited at the same time on other lines.
 
     Raises
     ------
@@ -99,12 +107,16 @@ def prepare(run: Run, inputs: Sequence[str], band: tuple[float, float], period: 
         throughout the band, or no channel responds to the inputs.
     """
     whole, warnings = longest_piece(run)
-    left_out, found = check_channels(whole, inputs, band, period)
+    left_out, found = check_channels(whole, inputs, band, period, others)
     return Recording(_without_trend(whole, "linear" if period is None else "constant"), left_out, warnings + found)
 
 
 def check_channels(
-    whole: Run | MeasuredData, inputs: Sequence[str], band: tuple[float, float], period: int | None = None
+    whole: Run | MeasuredData,
+    inputs: Sequence[str],
+    band: tuple[float, float],
+    period: int | None = None,
+    others: Sequence[str] = (),
 ) -> tuple[dict[str, str], tuple[str, ...]]:
     """Find the outputs that do not respond to the inputs, each with the reason, and warnings about the channels.
 
@@ -112,7 +124,7 @@ def check_channels(
     ----------
     whole
         The test, without gaps.
-    inputs, band, period
+    inputs, band, period, others
         As of `prepare`.
 
     Raises
@@ -122,8 +134,8 @@ def check_channels(
         the inputs.
     """
     warnings: tuple[str, ...] = ()
-    others = (signals.GROUND, *whole.command_names) if isinstance(whole, Run) else whole.inputs
-    for name in dict.fromkeys((*whole.names, *others)):
+    every = (signals.GROUND, *whole.command_names) if isinstance(whole, Run) else whole.inputs
+    for name in dict.fromkeys((*whole.names, *every)):
         values = whole.channels([name])[:, 0]
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
@@ -142,10 +154,11 @@ def check_channels(
         if count:
             warnings += (f"{whole.source}: input {name} is clipped in {count} samples",)
 
-    left_out = dead_channels(whole, inputs, band)
+    driving = tuple(dict.fromkeys((*inputs, *others)))
+    left_out = dead_channels(whole, driving, band)
     if len(left_out) == len(whole.names):
         reasons = ", ".join(f"{name} {reason}" for name, reason in left_out.items())
-        raise AbraceError(f"{whole.source}: no channel is a response to {' and '.join(inputs)}: {reasons}")
+        raise AbraceError(f"{whole.source}: no channel is a response to {' and '.join(driving)}: {reasons}")
     for name, reason in left_out.items():
         warnings += (f"{whole.source}: channel {name} is left out: {reason}",)
     for name in whole.names:

@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 
 from abrace_core.errors import AbraceError
 from abrace_sysid.fitting.pole_basis import sides_of, whole_samples
@@ -66,13 +66,15 @@ class CondensedLines:
         """(parameters, slopes) matrix from the slopes to the derivatives of a channel with these `coefficients`."""
         columns, rows, places, factors = self._entries
         values = factors[:, 0] * coefficients[places[:, 0]] + factors[:, 1] * coefficients[places[:, 1]]
-        return sparse.csr_matrix((values, (rows, columns)), shape=(parameters, self.slopes.shape[1]))
+        # as csr_matrix wants them: entries row by row, and where each row begins
+        begins = np.searchsorted(rows, np.arange(parameters + 1))
+        return sparse.csr_matrix((values, columns, begins), shape=(parameters, self.slopes.shape[1]))
 
     @cached_property
     def _entries(
         self,
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-        """For all entries of `derivatives`: slope, parameter, the indices of two coefficients, and their factors."""
+        """Entries of `derivatives` by parameter: slope, parameter, indices of two coefficients, and their factors."""
         columns, rows, places, factors = [], [], [], []
         for kind in self.kinds:
             first, last = kind.coefficient.start, kind.coefficient.stop - 1
@@ -86,7 +88,8 @@ class CondensedLines:
                     rows.append(row)
                     places.append((first, last))
                     factors.append(part)
-        return np.array(columns), np.array(rows), np.array(places), np.array(factors)
+        order = np.argsort(rows, kind="stable")
+        return np.array(columns)[order], np.array(rows)[order], np.array(places)[order], np.array(factors)[order]
 
 
 def condensed(observations: Sequence[Observation], inputs: Sequence[str], modes: Modes) -> tuple[CondensedLines, ...]:
@@ -122,12 +125,11 @@ def condensed(observations: Sequence[Observation], inputs: Sequence[str], modes:
             raise AbraceError(
                 f"{observation.source}: {len(observation.z)} frequency lines, expected more than {unknowns // 2}"
             )
-        weight = 1 / observation.noise_level[:, None]
-        lines = np.asarray(np.column_stack([*basis, *slopes, observation.measured]) * weight, dtype=np.complex128)
-        whole = stacked(lines)
+        lines = np.array([*basis, *slopes, *observation.measured.T], dtype=np.complex128) / observation.noise_level
+        whole = stacked(lines.T)
         scale = np.linalg.norm(whole, axis=0)
         scale[scale == 0] = 1.0
-        small = np.linalg.qr(whole / scale, mode="r") * scale
+        small = triangular_factor(whole / scale) * scale
         changes, measured = np.split(whole, [len(basis) + len(slopes)], axis=1)
         own = np.array(columns)
         tests.append(CondensedLines(observation, own, kinds, changes[:, : len(basis)], changes, measured, small))
@@ -253,5 +255,14 @@ def combined(sides: Sequence[NDArray[np.complex128]], vector: NDArray[Any]) -> l
 
 
 def stacked(lines: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Complex `lines` as real numbers: the real parts above the imaginary ones."""
-    return np.vstack([lines.real, lines.imag])
+    """Complex `lines` as real numbers: the real parts above the imaginary ones; column by column in memory."""
+    half = len(lines)
+    found = np.empty((2 * half, *lines.shape[1:]), order="F")
+    found[:half], found[half:] = lines.real, lines.imag
+    return found
+
+
+def triangular_factor(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """R of a QR factorization of `rows`, which are overwritten; without the copies that np.linalg.qr makes."""
+    _, factor = linalg.qr(rows, mode="raw", overwrite_a=True, check_finite=False)
+    return np.asarray(factor)

@@ -148,21 +148,23 @@ def _scores(likelihood: Likelihood, test: int, joint: Likelihood | None, in_time
     For coefficients: the changes of the coefficients.
     """
     one, parameters = likelihood.tests[test], len(likelihood.gradient)
-    lines, own = len(one.measured) // 2, one.columns
+    lines, own, size = len(one.measured) // 2, one.columns, one.basis.shape[1]
     kept = np.arange(0) if joint is None else lasting(joint)
-    found = np.zeros((lines, parameters + len(kept) * len(likelihood.channels)))
+    found = np.empty((parameters + len(kept) * len(likelihood.channels), lines))
     slopes, measured = (_in_time(rows) if in_time else rows for rows in (one.slopes, one.measured))
-    basis = slopes[:, : one.basis.shape[1]]
+    basis, of_slopes, of_modes = slopes[:, :size], np.ascontiguousarray(slopes.T), found[:parameters]
+    of_modes[:] = 0
     for c, channel in enumerate(likelihood.channels):
         left = measured[:, c] - basis @ channel.coefficients[own]
-        moved = (one.derivatives(channel.coefficients, parameters) @ slopes.T).T - basis @ channel.projection[own]
-        found[:, :parameters] += _product(moved, left * (one.observation.weight / channel.power[test]))
+        score = _product(of_slopes, left * (one.observation.weight / channel.power[test]))
+        of_modes += one.derivatives(channel.coefficients, parameters) @ score
+        of_modes -= channel.projection[own].T @ score[:size]
         if joint is not None:
             alike, first = joint.channels[c], parameters + c * len(kept)
             left = (measured[:, c] - basis @ alike.coefficients[own]) / alike.power[test]
             inverse = linalg.solve_triangular(alike.triangle, np.eye(len(alike.triangle)))
-            found[:, first : first + len(kept)] = _product(basis @ (inverse[own] @ inverse[kept].T), left)
-    return found * (lines if in_time else 1)
+            found[first : first + len(kept)] = inverse[kept] @ inverse[own].T @ _product(of_slopes[:size], left)
+    return found.T * (lines if in_time else 1)
 
 
 def _in_time(rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -173,10 +175,10 @@ def _in_time(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _product(slopes: NDArray[np.float64], residual: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(lines, columns) real part of each line's slope, conjugate, times its residual."""
+    """(slopes, lines) real part of each line's slope, conjugate, times its residual; slopes are (slopes, 2 lines)."""
     half = len(residual) // 2
-    found: NDArray[np.float64] = slopes[:half] * residual[:half, None]
-    found += slopes[half:] * residual[half:, None]
+    found: NDArray[np.float64] = slopes[:, :half] * residual[:half]
+    found += slopes[:, half:] * residual[half:]
     return found
 
 

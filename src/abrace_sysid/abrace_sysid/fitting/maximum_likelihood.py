@@ -53,6 +53,9 @@ CONVERGED = 0.01
 INSIGNIFICANT = 0.1
 """So does a step that lowers -2 log likelihood by less; a chi-square of one degree of freedom has a mean of 1."""
 
+ROUGH = 2.0
+"""The same for starting values. Trials of orders end as fits do: ended so early they find modes that are none."""
+
 
 def fit_poles(
     observations: Sequence[Observation],
@@ -102,9 +105,10 @@ def fit_poles(
     modes, unit = starting_modes(observations, inputs, poles, driven, fixed, delays)
     observations = [observation.in_units(dict(zip(inputs, unit, strict=True))) for observation in observations]
     if max(len(observation.z) for observation in observations) > 2 * FEW_LINES:
-        near, converged, _ = _climbed([one.thinned(FEW_LINES) for one in observations], inputs, modes, most)
+        few = [one.thinned(FEW_LINES) for one in observations]
+        near, converged, _ = _climbed(few, inputs, modes, most, ROUGH)
         modes = near.modes if near is not None and converged else modes
-    likelihood, converged, iterations = _climbed(observations, inputs, modes, most)
+    likelihood, converged, iterations = _climbed(observations, inputs, modes, most, INSIGNIFICANT)
     if likelihood is None or not converged:
         raise AbraceError(
             f"{where}: no maximum of the likelihood found in {iterations} steps from the poles {_named(poles)} rad/s; "
@@ -141,7 +145,7 @@ def fit_poles(
 
 
 def _climbed(
-    observations: Sequence[Observation], inputs: Sequence[str], modes: Modes, most: int
+    observations: Sequence[Observation], inputs: Sequence[str], modes: Modes, most: int, insignificant: float
 ) -> tuple[Likelihood | None, bool, int]:
     """The likelihood at the end of the iterations, whether these have converged, and the number of steps."""
     likelihood = Likelihood.at(observations, inputs, modes)
@@ -153,7 +157,7 @@ def _climbed(
         small = likelihood.size(step) < CONVERGED
         after = Likelihood.at(observations, inputs, likelihood.modes.moved(step, fastest), likelihood)
         if after is not None and after.cost < likelihood.cost:
-            small = small or likelihood.cost - after.cost < INSIGNIFICANT
+            small = small or likelihood.cost - after.cost < insignificant
             likelihood, damping, converged = after, damping / 10, small
         else:
             damping, converged = 10 * max(damping, 1e-5), small and damping < 1e-2

@@ -9,7 +9,7 @@ if the fit then predicts the rest of the record, which was not used, better (hol
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -111,9 +111,9 @@ def search_modes(
     costs = [np.inf for _ in halves]
     residuals = [half.measured / np.sqrt(np.mean(np.abs(half.measured) ** 2, axis=0)) for half in halves]
     refused: list[complex] = []
-    reason = "none helps to predict"
+    reason, grid = "none helps to predict", _Grid(halves[0])
     while len(found[0]) < most and len(refused) < REFUSALS:
-        candidate = _strongest(halves[0], residuals[0], refused)
+        candidate = grid.strongest(residuals[0], refused)
         refused.append(candidate)
         try:
             trials = [
@@ -225,28 +225,50 @@ def weighed(
     return [one.with_noise(level / np.median(level)) for one, level in zip(observations, levels, strict=True)]
 
 
-def _strongest(observation: Observation, residual: NDArray[np.complex128], refused: list[complex]) -> complex:
-    """The pole on the grid that explains most of a residual (lines, channels), away from those refused."""
-    omega = np.angle(observation.z) / observation.samplings[0].sample_period
-    spacing = float(np.median(np.diff(omega)))
-    rows = 2 * len(omega)
-    best, found = -np.inf, 0j
-    for damping in DAMPING:
-        w = omega[0]
-        while w <= omega[-1]:
-            pole = w * complex(-damping, np.sqrt(1 - damping**2))
-            frequency, w = w, w + max(spacing, damping * w)
-            if any(abs(pole - other) < 2 * spacing + max(damping, NEAR) * frequency for other in refused):
+class _Candidate(NamedTuple):
+    """A pole of the grid: the lines around its `frequency` [rad/s] that show it, and orthonormal columns of it there.
+
+    A column has the real parts of two real ones, for real and imaginary parts of the lines, in one complex number.
+    """
+
+    pole: complex
+    frequency: float
+    damping: float
+    lines: slice
+    columns: NDArray[np.complex64]
+
+
+class _Grid:
+    """Poles that may be modes of an `observation`, each alone."""
+
+    def __init__(self, observation: Observation) -> None:
+        omega = np.angle(observation.z) / observation.samplings[0].sample_period
+        self._spacing = float(np.median(np.diff(omega)))
+        self._rows = 2 * len(omega)
+        self._candidates = []
+        for damping in DAMPING:
+            frequency = omega[0]
+            while frequency <= omega[-1]:
+                pole = frequency * complex(-damping, np.sqrt(1 - damping**2))
+                reach = max(REACH * damping * frequency, LEAST_REACH * self._spacing)
+                lines = slice(*np.searchsorted(omega, [frequency - reach, frequency + reach]).tolist())
+                q = np.linalg.qr(stacked(_columns(observation, pole, lines)))[0]
+                both = (q[: len(q) // 2] + 1j * q[len(q) // 2 :]).astype(np.complex64)
+                self._candidates.append(_Candidate(pole, float(frequency), damping, lines, both))
+                frequency = frequency + max(self._spacing, damping * frequency)
+
+    def strongest(self, residual: NDArray[np.complex128], refused: Sequence[complex]) -> complex:
+        """The pole that explains most of a `residual` (lines, channels), away from those refused."""
+        single = residual.astype(np.complex64)
+        best, found = -np.inf, 0j
+        for pole, frequency, damping, lines, columns in self._candidates:
+            if any(abs(pole - other) < 2 * self._spacing + max(damping, NEAR) * frequency for other in refused):
                 continue
-            reach = max(REACH * damping * frequency, LEAST_REACH * spacing)
-            chosen = slice(*np.searchsorted(omega, [frequency - reach, frequency + reach]))
-            basis = stacked(_columns(observation, pole, chosen))
-            q, _ = np.linalg.qr(basis)
-            explained = np.sum((q.T @ stacked(residual[chosen])) ** 2, axis=0)
-            gain = -float(np.sum(np.log(np.maximum(1 - 2 * explained / rows, 1e-9))))
+            explained = np.sum((columns.conj().T @ single[lines]).real ** 2, axis=0)
+            gain = -float(np.sum(np.log(np.maximum(1 - 2 * explained / self._rows, 1e-9))))
             if gain > best:
                 best, found = gain, pole
-    return found
+        return found
 
 
 def _columns(observation: Observation, pole: complex, chosen: slice) -> NDArray[np.complex128]:

@@ -130,7 +130,7 @@ def try_orders(
                 driven[order.pairs : order.pairs + groups, ground:] = np.eye(groups)
             first = {"direct": np.nan, "lag": 0.0, "delay": FIRST_DELAY * several[i].sample_period}
             delays = np.append([np.nan] * ground, np.full(groups, first[order.servo]))
-            return OrderTrial(order, fit_poles(observations, poles, driven, most=most, spread="none", delays=delays))
+            return OrderTrial(order, fit_poles(observations, poles, driven, None, most, "none", delays))
         except AbraceError as error:
             return OrderTrial(order, None, str(error))
 

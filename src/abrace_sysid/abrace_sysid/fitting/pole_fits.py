@@ -31,6 +31,7 @@ from abrace_sysid.fitting.pole_estimate import PoleInterval
 from abrace_sysid.fitting.slow_pole import slow_real_pole
 from abrace_sysid.fitting.vector_fitting import modes_of, vector_fitting
 from abrace_sysid.spectra.fourier import spectra_of
+from abrace_sysid.spectra.periodic_response import periodic_response
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -44,6 +45,10 @@ if TYPE_CHECKING:
 
 NEIGHBOURS = 17
 """Lines over which the level of a fit's residual is averaged: 0.06 Hz for a record of 300 s."""
+
+
+ROUNDING = 1e-9
+"""By this share a band is widened, so that rounding leaves out no line at its edges."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +129,23 @@ def fit_poles_of(
     )
 
 
+def steady(data: TestData, estimate: PoleEstimate) -> TestData:
+    """Periodic tests with the free decay of the modes of a fit removed from the responses; others as they are.
+
+    Parameters
+    ----------
+    data
+        The tests of one input.
+    estimate
+        The fit.
+    """
+    if not data.periodic:
+        return data
+    omega = data.responses[0].omega
+    band = float(omega[0] / (2 * np.pi)), float(omega[-1] / (2 * np.pi))
+    return replace(data, responses=tuple(_without_decay(data, band, _upper(estimate.poles))))
+
+
 def _maximum_likelihood(
     table: TestData,
     commands: Sequence[TestData],
@@ -183,7 +205,7 @@ def _of_tests_apart(
     progress("maximum likelihood, table", 0.5)
     from_table, measured = _observations([table]), table.responses[0]
     of_table = search_order(from_table, measured, floors, [Order(0, 1), Order(0, 0)])
-    from_table, of_table = _with_noise_as_found(from_table, of_table)
+    from_table, of_table = _with_noise_as_found(_steady([table], from_table, of_table), of_table)
     progress("maximum likelihood, command", 0.6)
     from_command, groups = _observations(commands), len(commands)
     responses = [data.responses[0] for data in commands]
@@ -191,7 +213,7 @@ def _of_tests_apart(
     together = responses if commands[0].periodic else [side_by_side(responses)]
     given = options.command_order // 2
     of_command = search_order(from_command, together, given or floors, _servos(groups), groups, given > 0)
-    from_command, of_command = _with_noise_as_found(from_command, of_command)
+    from_command, of_command = _with_noise_as_found(_steady(commands, from_command, of_command), of_command)
 
     progress("maximum likelihood, both", 0.75)
     poles, drive = of_command.poles, of_command.drive
@@ -218,11 +240,13 @@ def _with_noise_as_found(
     The residual is larger at a resonance: noise of the measured input passes through the structure to all channels, and
     peaks are never exactly linear. The channels then contain less information than independent ones, and the weight of
     these tests among others is reduced by the increase of their poles' variance. A few multisines have too few lines
-    around a resonance, and keep the noise levels from their periods.
+    around a resonance, and keep the noise levels from their periods. With more, these levels are not used: of each line
+    they are known from a few others in between, and so uneven that some lines would count much too much.
     """
     found = list(observations)
     if observations[0].transient or len(observations) >= LEAST_PIECES:
-        found = weighed(observations, estimate, NEIGHBOURS)
+        even = [one.with_noise(np.ones(len(one.z))) for one in observations]
+        found = weighed(even, estimate, NEIGHBOURS)
     again = fit_poles(found, estimate.poles, estimate.drive != 0, delays=estimate.delays)
     return [replace(one, weight=1 / again.inflation) for one in found], again
 
@@ -287,19 +311,36 @@ def side_by_side(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     return replace(first, outputs=names, response=response, sigma=sigma)
 
 
-def _observations(tests: Sequence[TestData]) -> list[Observation]:
-    """Observations: of each test with noise its spectra with leakage, once; of a periodic test its responses."""
+def _observations(tests: Sequence[TestData], poles: NDArray[np.complex128] | None = None) -> list[Observation]:
+    """Observations: of each test with noise its spectra with leakage, once; of a periodic test its responses.
+
+    With `poles` [rad/s], their free decay is removed from periodic tests.
+    """
     found = []
     for data in tests:
+        omega = data.responses[0].omega
+        band = (float(omega[0] / (2 * np.pi)), float(omega[-1] / (2 * np.pi)))
         if data.periodic:
-            pairs = zip(data.responses, data.runs, strict=True)
-            found += [Observation.of_response(response, run.source) for response, run in pairs]
+            responses = data.responses if poles is None else _without_decay(data, band, poles)
+            found += [Observation.of_response(one, run.source) for one, run in zip(responses, data.runs, strict=True)]
         elif data.input == data.together[0]:
-            omega = data.responses[0].omega
-            band = (float(omega[0] / (2 * np.pi)), float(omega[-1] / (2 * np.pi)))
             spectra = [spectra_of(run, data.together, band).select(data.outputs) for run in data.runs]
             found += [Observation.of_spectra(one, run.source) for one, run in zip(spectra, data.runs, strict=True)]
     return found
+
+
+def _without_decay(data: TestData, band: tuple[float, float], poles: NDArray[np.complex128]) -> list[FrequencyResponse]:
+    """The responses of periodic tests with the free decay of modes removed."""
+    edges = band[0] * (1 - ROUNDING), band[1] * (1 + ROUNDING)
+    found = [periodic_response(run, data.input, edges, poles=poles).frequency_response for run in data.runs]
+    return [one.select(data.outputs) for one in found]
+
+
+def _steady(
+    tests: Sequence[TestData], observations: Sequence[Observation], estimate: PoleEstimate
+) -> Sequence[Observation]:
+    """Periodic tests without the free decay of the modes of a first fit; tests with noise as they are."""
+    return _observations(tests, _upper(estimate.poles)) if tests[0].periodic else observations
 
 
 def _by_curve_fit(data: TestData, order: int, options: IdentificationOptions, floors: int) -> NDArray[np.complex128]:

@@ -18,7 +18,9 @@ PARAMETERS = [
     Parameter("sample_rate", 500.0, "Hz, sample rate of the rig", minimum=1.0),
     Parameter("signal", "white_noise", "white_noise or multisine", choices=("white_noise", "multisine")),
     Parameter("duration", 300.0, "s of noise; a multisine has as many whole periods as fit", minimum=2.0),
-    Parameter("rms", 1800.0, "N, rms of the force of one brace", minimum=0.0),
+    Parameter(
+        "rms", [1800.0], "N, rms of the force of one brace: of all groups, or of each; 0: a group at rest", minimum=0.0
+    ),
     Parameter("band", [0.0, 30.0], "Hz, lowest and highest frequency", minimum=0.0),
     Parameter("seed", 2, "seed of the signal; white noise of brace group j has seed + j", minimum=0),
     Parameter("period", 32.768, "s, period of a multisine", minimum=0.01),

@@ -4,8 +4,9 @@
 P whole periods of the steady response are transformed together. The response to a periodic input, distortion included,
 then appears only at every P-th line ("lines of the period"). The P - 1 lines in between contain noise and the rest of
 the transient. A polynomial fitted to them removes the transient from the line in their middle, and its residual is the
-noise: the fast local polynomial method (Pintelon and Schoukens 2012, sec. 7.3). The lines of the period that an input
-excites give its transfer functions; those that no input excites show nonlinear distortion.
+noise: the fast local polynomial method (Pintelon and Schoukens 2012, sec. 7.3). The free decay of a lightly damped
+mode is narrower than the lines are apart, and no polynomial: where the poles are known, it is removed before. The lines
+of the period that an input excites give its transfer functions; those that no input excites show nonlinear distortion.
 
 Period and length are found from the input: the period is the lag at which the input repeats itself, and the periodic
 part ends where it no longer does. This is exact for a command, and robust for a measured acceleration.
@@ -38,6 +39,9 @@ ORDER = 4
 
 EDGE = 50
 """Greatest error [samples] with which the ends of an input's periodic part are found."""
+
+START = 4 * EDGE
+"""Samples at the beginning of the dropped periods from which no free decay is estimated."""
 
 ALIKE = 0.05
 """An input repeats itself if its mean square difference from itself a period later is below this share of its mean
@@ -90,7 +94,12 @@ class PeriodicResponse:
 
 
 def periodic_response(
-    run: Run, input_name: str, band: tuple[float, float], period_samples: int | None = None, dropped: int = 1
+    run: Run,
+    input_name: str,
+    band: tuple[float, float],
+    period_samples: int | None = None,
+    dropped: int = 1,
+    poles: NDArray[np.complex128] | None = None,
 ) -> PeriodicResponse:
     """Transfer functions from a periodic input at the lines that it excites.
 
@@ -109,6 +118,9 @@ def periodic_response(
         after half a period: give the whole period.)
     dropped
         Periods left out at the beginning, at least 1: until the slowest mode's transient has decayed.
+    poles
+        Of modes [rad/s], one of each pair, whose free decay is estimated from the differences of periods and removed;
+        None: the poles are not known.
 
     Raises
     ------
@@ -120,7 +132,10 @@ def periodic_response(
     names = (input_name, *(name for name in (signals.GROUND, *run.command_names) if name != input_name))
     inputs = np.column_stack([held_input(run, name) for name in names])
     period_samples, periods, last, repeating = _whole_periods(run.source, names, inputs, period_samples, dropped)
-    recorded = np.hstack([inputs, run.outputs])[last - periods * period_samples : last]
+    recorded = np.hstack([inputs, run.outputs])[max(0, last - (periods + dropped) * period_samples) : last]
+    if poles is not None:
+        recorded = recorded - _free_decay(recorded, period_samples, poles * run.sample_period)
+    recorded = recorded[-periods * period_samples :]
     spectra = fft.fft(recorded, axis=0) * (np.sqrt(2) / len(recorded))
 
     frequency = np.arange(1, (period_samples + 1) // 2) / (period_samples * run.sample_period)
@@ -250,6 +265,29 @@ def _periodic_part(inputs: NDArray[np.float64], period: int) -> tuple[int, int]:
         (part,) = ndimage.find_objects(parts)[int(np.argmax(moves))]
         first, last = max(first, part.start), min(last, part.stop + period)
     return first, last
+
+
+def _free_decay(recorded: NDArray[np.float64], period: int, exponents: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """(samples, channels) the free decay of modes in the response to a periodic input.
+
+    The periodic part of a channel cancels in its difference from itself a period later; the decay of each mode remains,
+    times a known factor, and is found by least squares.
+
+    Parameters
+    ----------
+    recorded
+        (samples, channels); the input may become periodic up to START samples after the first.
+    period
+        Samples in a period.
+    exponents
+        (modes,) poles times the sample period.
+    """
+    motion = np.exp(np.arange(len(recorded))[:, None] * exponents)
+    columns = np.hstack([motion.real, -motion.imag])
+    apart = recorded[START + period :] - recorded[START:-period]
+    parts = np.linalg.lstsq(columns[START:-period], apart, rcond=None)[0]
+    amplitudes = (parts[: len(exponents)] + 1j * parts[len(exponents) :]) / np.expm1(period * exponents)[:, None]
+    return np.asarray(columns @ np.vstack([amplitudes.real, amplitudes.imag]))
 
 
 def _without_transient(

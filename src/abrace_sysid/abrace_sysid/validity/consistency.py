@@ -86,11 +86,13 @@ def pieces_of(data: TestData, poles: NDArray[np.complex128]) -> list[tuple[str, 
     Parameters
     ----------
     data
-        Tests with noise.
+        Tests of one input. A single periodic test has no pieces.
     poles
         Poles of all tests together, as initial values: the real ones, and of each pair the one above the real axis.
     """
     runs = [(run.source, run) for run in data.runs]
+    if data.periodic:
+        return _of_periodic(data, poles) if len(runs) > 1 else []
     if len(runs) == 1:
         middle = len(runs[0][1].outputs) // 2
         whole = runs[0][1]
@@ -112,6 +114,18 @@ def pieces_of(data: TestData, poles: NDArray[np.complex128]) -> list[tuple[str, 
     return found
 
 
+def _of_periodic(data: TestData, poles: NDArray[np.complex128]) -> list[tuple[str, tuple[PoleInterval, ...]]]:
+    """The modes of each periodic test, with its name."""
+    found = []
+    for run, response in zip(data.runs, data.responses, strict=True):
+        try:
+            estimate = fit_poles([Observation.of_response(response, run.source)], poles)
+        except AbraceError:
+            continue
+        found.append((run.source, tuple(estimate.pairs())))
+    return found
+
+
 def _part(run: Run, begin: int, end: int) -> Run:
     kept = slice(begin, end)
     return replace(
@@ -121,4 +135,5 @@ def _part(run: Run, begin: int, end: int) -> Run:
         ground_acceleration=run.ground_acceleration[kept],
         command=run.command[kept],
         clipped=None,
+        forces=None,
     )

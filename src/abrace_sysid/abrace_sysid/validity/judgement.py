@@ -82,7 +82,7 @@ def judge(
     findings += _of_tests(table, command, options, not_checked)
     residuals: list[Residual] = []
     if found is not None:
-        of_model, residuals = _of_model(found, options, findings)
+        of_model, residuals = _of_model(found, options, findings, not_checked)
         findings += of_model
     else:
         not_checked["residuals, agreement of tests, lag"] = "there is no model"
@@ -177,9 +177,12 @@ def _whole(run: Run) -> Run:
 
 
 def _of_model(
-    found: Identification, options: IdentificationOptions, before: Sequence[Finding]
+    found: Identification,
+    options: IdentificationOptions,
+    before: Sequence[Finding],
+    not_checked: dict[str, str],
 ) -> tuple[list[Finding], list[Residual]]:
-    """Findings on the model, and the residuals of each test."""
+    """Findings on the model, and the residuals of each test; what could not be checked is added to `not_checked`."""
     known = [one.cause for one in before if one.verdict and one.cause in LEAVE_RESIDUALS]
     nonlinear = list(dict.fromkeys(known))
     findings: list[Finding] = []
@@ -197,9 +200,13 @@ def _of_model(
     findings += model_findings.modes_of_both(poles.table_pairs, poles.common_pairs)
     cause = nonlinear[0] if nonlinear else "tests that differ"
     building = poles.table_pairs
-    findings += model_findings.disagreeing(
-        "two tests", (found.table.source, found.command.source), poles.table_pairs, poles.command_pairs, cause, building
-    )
+    if len(found.table.together) > 1:
+        not_checked["agreement of table and command"] = "noise drove both at once: they have one set of modes"
+    else:
+        names = found.table.source, found.command.source
+        findings += model_findings.disagreeing(
+            "two tests", names, poles.table_pairs, poles.command_pairs, cause, building
+        )
     top = 2 * np.pi * options.table_band[1]
     findings += model_findings.repeated(found.table, estimate.poles[np.abs(estimate.poles) < top], cause, building)
     for data in found.commands:

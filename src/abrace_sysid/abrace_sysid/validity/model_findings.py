@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -58,12 +59,15 @@ def unexplained(residual: Residual, nonlinear: Sequence[str]) -> list[Finding]:
     mode = None
     if residual.excess.max() > NEGLIGIBLE:
         mode = missing_mode(residual)
-    cause, advice = _cause(residual, depends, mode, nonlinear)
     worst = int(np.argmax(residual.excess))
     name, source = residual.outputs[worst], residual.source
     certain = residual.probability.min() * len(residual.outputs) < FALSE_ALARM
     excess = float(residual.excess[worst]) if certain else 0.0
     verdict = judged(excess, *UNEXPLAINED)
+    independence = None if depends is None else _independence(residual, depends)
+    cause, advice = "", ""
+    if verdict or (independence is not None and independence.verdict):
+        cause, advice = _cause(residual, depends, mode, nonlinear)
     meaning = f"the model leaves {_percent(excess)} of {name} unexplained in {source}, beyond noise"
     if verdict and mode is not None and mode.is_one:
         meaning += (
@@ -75,8 +79,8 @@ def unexplained(residual: Residual, nonlinear: Sequence[str]) -> list[Finding]:
         _finding("residual", f"{name}, {source}", excess, UNEXPLAINED[0], verdict, cause, meaning, advice),
         _whiteness(residual),
     ]
-    if depends is not None:
-        findings.append(_independence(residual, depends, cause, advice))
+    if independence is not None:
+        findings.append(replace(independence, cause=cause, advice=advice) if independence.verdict else independence)
     if mode is not None and mode.is_one and not verdict:
         findings += _small_mode(residual, mode)
     return findings
@@ -131,7 +135,8 @@ def _whiteness(residual: Residual) -> Finding:
     return _finding("whiteness", f"{name}, {source}", shares[worst], NEGLIGIBLE, verdict, "", meaning, "")
 
 
-def _independence(residual: Residual, depends: Dependence, cause: str, advice: str) -> Finding:
+def _independence(residual: Residual, depends: Dependence) -> Finding:
+    """The finding on independence, without its cause."""
     certain = depends.probability.min() * depends.probability.size < FALSE_ALARM
     # in channels whose dependence is not significant the share is due to noise
     shares = np.where(depends.probability.min(axis=0) * depends.probability.size < FALSE_ALARM, depends.total, 0.0)
@@ -146,7 +151,7 @@ def _independence(residual: Residual, depends: Dependence, cause: str, advice: s
         if verdict
         else f"the residual of {source} does not follow the input"
     )
-    return _finding("independence", f"{name}, {source}", share, UNEXPLAINED[0], verdict, cause, meaning, advice)
+    return _finding("independence", f"{name}, {source}", share, UNEXPLAINED[0], verdict, "", meaning, "")
 
 
 def disagreeing(
@@ -250,7 +255,7 @@ def repeated(
     cause, building
         As in `disagreeing`.
     """
-    if data.periodic or data.input != data.together[0]:
+    if not data.periodic and data.input != data.together[0]:
         return []
     return [
         finding
@@ -290,7 +295,7 @@ def lag(command: str, source: str, measured: float, given: float) -> list[Findin
     verdict = judged(difference, limit)
     bench = f"servo_lag says {1e3 * given:.2g} ms" if given else "no bench test to compare with"
     meaning = f"{command} acts {1e3 * measured:.2g} ms late in {source}, {bench}"
-    advice = "model.json has the measured lag; set servo_lag to it, and look for filters and delays in the signal path"
+    advice = "the models have the measured lag; correct servo_lag, or look for filters and delays in the signal path"
     return [
         _finding(
             "lag of the servo", command, difference, limit, verdict, "lag", meaning, advice if verdict else "", "s"

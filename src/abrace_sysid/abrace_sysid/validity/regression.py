@@ -41,8 +41,10 @@ def regression(
     for _ in range(REWEIGHTINGS):
         weighted = both * weight[:, None]
         scale = np.linalg.norm(weighted, axis=0)
-        q, r = np.linalg.qr(weighted / scale)
-        coefficients = linalg.solve_triangular(r, q.T @ (values * weight)) / scale
+        # with the measured values as the last column Q, the dearest part, is not needed
+        triangle = np.asarray(np.linalg.qr(np.column_stack([weighted / scale, values * weight]), mode="r"))
+        r = triangle[:-1, :-1]
+        coefficients = linalg.solve_triangular(r, triangle[:-1, -1]) / scale
         residual = values - both @ coefficients
         power = uniform_filter1d(residual[:lines] ** 2 + residual[lines:] ** 2, min(SMOOTHED, lines), mode="reflect")
         level = np.sqrt(np.maximum(power, np.finfo(float).tiny) / 2)

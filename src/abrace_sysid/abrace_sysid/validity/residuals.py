@@ -321,8 +321,10 @@ def by_own_modes(residual: Residual) -> NDArray[np.float64]:
     for left, noise in zip(residual.left.T, residual.noise.T, strict=True):
         weight = 1 / np.sqrt(noise)
         weighted = basis * weight[:, None]
-        q = np.linalg.qr(weighted / np.linalg.norm(weighted, axis=0))[0]
         own = left * weight
-        explained = float(np.sum(np.abs(q.conj().T @ own) ** 2)) - q.shape[1]
+        # the last column of R has the projection on all columns before it
+        both = np.column_stack([weighted / np.linalg.norm(weighted, axis=0), own])
+        triangle = np.asarray(np.linalg.qr(both, mode="r"))
+        explained = float(np.sum(np.abs(triangle[:-1, -1]) ** 2)) - weighted.shape[1]
         shares.append(explained / max(float(np.sum(np.abs(own) ** 2)) - len(own), 1e-12))
     return np.clip(shares, 0, 1)
