@@ -74,6 +74,12 @@ def test_no_factors_inside_the_disk_make_the_loop_unstable():
         assert is_stable(plant(), law(-6.0 * first, -2.5 * second, command)), d
 
 
+def test_a_margin_is_computed_only_as_far_as_it_may_be_below_the_one_given():
+    alpha = disk_margin(plant(), law()).alpha
+    assert disk_margin(plant(), law(), below=1.1 * alpha).alpha == pytest.approx(alpha, rel=1e-9)
+    assert disk_margin(plant(), law(), below=0.9 * alpha).alpha == 0.9 * alpha
+
+
 def test_one_sensor_and_one_command_have_the_margin_of_their_closed_form():
     # with r^2 = -L: S - I/2 = 1/(1 + L) [[1, K], [G, 1]] - I/2 has mu = max |(1 +- r) / (1 -+ r)| / 2
     one = plant().select(["v1"])

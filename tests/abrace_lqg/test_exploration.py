@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 import multiprocessing
 import os
@@ -16,22 +17,24 @@ import numpy as np
 import pytest
 
 from abrace_core.controller_file import load_controller
+from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError, RunFailed
 from abrace_core.linear_model import LinearModel
 from abrace_core.response import PeakRms
 from abrace_core.run import Run
-from abrace_core.simulation import simulate_closed_loop
+from abrace_core.simulation import simulate, simulate_closed_loop
 from abrace_lqg.analysis.margins import Margins
 from abrace_lqg.analysis.prediction import Excitation
+from abrace_lqg.batches.cluster import cluster, compute
 from abrace_lqg.design import design
-from abrace_lqg.exploration.cluster import cluster, compute
 from abrace_lqg.exploration.ensemble import Record, noise_motion, recorded_motion
-from abrace_lqg.exploration.figure import trade_off
+from abrace_lqg.exploration.figure import robust_figure, trade_off
 from abrace_lqg.exploration.files import load_set, save_exploration, write_set
-from abrace_lqg.exploration.report import pareto_front, report
+from abrace_lqg.exploration.report import pareto_front, ranked, report
 from abrace_lqg.exploration.run import explore
 from abrace_lqg.exploration.study import Outcome, Study, evaluate
 from abrace_lqg.exploration.weight_sets import weight_sets
+from abrace_lqg.fragility.study import Fault, Interlock
 from abrace_lqg.scaling import scaled_weights
 from abrace_lqg.weights import KindWeights, Weights, load_weights
 from abrace_plant.rig.file import load_rig
@@ -59,8 +62,10 @@ def records() -> list[Record]:
     return [noise_motion(seed, 20.0, (0.2, 8.0), PERIOD).scaled(1.0) for seed in (1, 2)]
 
 
-def study(simulation_model: LinearModel | None = None, capacity: np.ndarray = CAPACITY) -> Study:
-    return Study.of(storey(), simulation_model or storey(), records(), capacity=capacity, sample_period=PERIOD)
+def study(simulation_model: LinearModel | None = None, **changes: object) -> Study:
+    models = [simulation_model or storey()]
+    parts = {"simulation_models": models, "intensities": [1.0], "capacity": CAPACITY, "sample_period": PERIOD}
+    return Study.of(storey(), records=records(), **parts | changes)
 
 
 @pytest.fixture(scope="module")
@@ -125,20 +130,81 @@ def test_an_outcome_is_what_the_simulated_loop_does():
     tried = study(capacity=np.array([300.0]))
     outcome = evaluate(tried, 5, given())
     designed = design(storey(), given(), PERIOD)
-    saturated = 0
-    for record, found, free in zip(tried.records, outcome.records, tried.zero_command, strict=True):
+    saturated, ratios, squares = 0, [], []
+    for record in records():
         z, u = simulate_closed_loop(
             tried.plant, designed.controller, record.ground_acceleration, np.array([300.0]), designed.correction
         )
-        assert found["x1"] == pytest.approx((np.abs(z[:, 0]).max(), np.sqrt(np.mean(z[:, 0] ** 2))), rel=1e-9)
-        assert found["U"] == pytest.approx((300.0, np.sqrt(np.mean(u**2))), rel=1e-9)
-        assert found["x1"].rms < 0.7 * free["x1"].rms, "the controller should have reduced the drift"
+        free = simulate(tried.plant.select(inputs=["w"]), record.ground_acceleration[:, None])
+        rms = np.sqrt(np.mean(z[:, 0] ** 2) / np.mean(free[:, 0] ** 2))
+        ratios.append((np.abs(z[:, 0]).max() / np.abs(free[:, 0]).max(), rms))
         saturated += np.count_nonzero(np.abs(u) >= 300.0)
+        squares.append(np.mean(u**2))
     assert outcome.saturated == saturated > 0
-    ratios = [row["x1"].rms / free["x1"].rms for row, free in zip(outcome.records, tried.zero_command, strict=True)]
-    assert outcome.relative["x1"].rms == pytest.approx(np.mean(ratios), rel=1e-12)
-    assert outcome.command.peak == 300.0
+    assert outcome.relative["x1"] == pytest.approx(np.mean(ratios, axis=0), rel=1e-9)
+    assert outcome.relative["x1"].rms < 0.7, "the controller should have reduced the drift"
+    assert outcome.command == pytest.approx((300.0, np.sqrt(np.mean(squares))), rel=1e-9)
+    assert outcome.robust["displacement"] == pytest.approx(max(rms for _, rms in ratios), rel=1e-9)
     assert "f" not in outcome.relative, "an ideal force is zero with a zero command: no ratio"
+
+
+def softer(share: float) -> LinearModel:
+    """The storey with another stiffness."""
+    return replace(storey(), a=np.array([[0.0, 1.0], [-64.0 * share, -0.16]]))
+
+
+def test_the_robust_response_is_the_quantile_over_models_intensities_faults_and_records():
+    uncertain = study(
+        simulation_models=[storey(), softer(0.8), softer(1.25)],
+        intensities=[0.5, 4.0],
+        faults=[Fault("a1", 0.0), Fault("a1", 1.2)],
+        capacity=np.array([1200.0]),
+        interlocks=[Interlock("x1", 0.08, 2)],
+        quantile=0.75,
+    )
+    outcome = evaluate(uncertain, 1, given())
+    assert outcome.loops == uncertain.count == 3 * 2 * 3 * 2
+    designed = design(storey(), given(), PERIOD)
+    ratios, tripped = [], 0
+    for model, factor, level, record in itertools.product(
+        uncertain.loops.models, (1.0, 0.0, 1.2), (0.5, 4.0), records()
+    ):
+        plant, ground = discretize(model, PERIOD), level * record.ground_acceleration
+        law = replace(designed.controller, b=factor * designed.controller.b, d=factor * designed.controller.d)
+        z, _ = simulate_closed_loop(plant, law, ground, np.array([1200.0]), designed.correction)
+        over = np.abs(z[:, 0]) > 0.08
+        tripped += bool(np.any(over[1:] & over[:-1]))
+        free = simulate(plant.select(inputs=["w"]), ground[:, None])
+        ratios.append(np.sqrt(np.mean(z[:, 0] ** 2) / np.mean(free[:, 0] ** 2)))
+    assert outcome.interlocked == tripped > 0
+    without = evaluate(replace(uncertain, loops=replace(uncertain.loops, interlocks=())), 1, given())
+    assert without.robust["displacement"] == pytest.approx(sorted(ratios)[26], rel=1e-9), "27 of 36 respond no more"
+    worst = evaluate(replace(uncertain, quantile=1.0, loops=replace(uncertain.loops, interlocks=())), 1, given())
+    assert worst.robust["displacement"] == pytest.approx(max(ratios), rel=1e-9)
+    nominal = evaluate(study(intensities=[0.5, 4.0], capacity=np.array([1200.0])), 1, given())
+    assert without.relative == nominal.relative, "of the simulation model itself, with intact sensors"
+
+
+def test_sets_are_ranked_by_their_robust_response_among_those_of_no_more_force(outcomes):
+    order = ranked(outcomes)
+    limit = outcomes[0].command.rms
+    cheap = [one for one in outcomes if one.command and one.command.rms <= limit]
+    firm = [one for one in cheap if one.margins.gain >= 6 and one.margins.phase >= 30 and one.margins.delay >= 0.004]
+    assert {one.number for one in order} == {one.number for one in firm}
+    assert [one.robust_response for one in order] == sorted(one.robust_response for one in order)
+    assert 0 < len(firm) < len(cheap) < len(outcomes) - 1, "some sets should take more force, some have less margin"
+    weak = replace(outcomes[0], command=PeakRms(2.0, 1.0))
+    refused = replace(outcomes[0], command=None, refused="why")
+    assert not ranked([weak, *outcomes[1:]]), "all take more force"
+    assert ranked([refused, *outcomes[1:]]), "any force is allowed"
+    figure = robust_figure(outcomes, 0.9)
+    axis = figure.axes[0]
+    (diamond,) = [line for line in axis.lines if line.get_marker() == "D"]
+    expected = (100 * order[0].response("displacement"), 100 * order[0].robust["displacement"])
+    assert (diamond.get_xdata()[0], diamond.get_ydata()[0]) == pytest.approx(expected)
+    assert len(axis.collections[0].get_offsets()) == sum(not outcome.refused for outcome in outcomes)
+    with pytest.raises(AbraceError, match="no set of weights gave a controller"):
+        robust_figure([outcomes[-1]], 0.9)
 
 
 def test_a_controller_of_negligible_command_does_not_change_the_response():
@@ -152,7 +218,9 @@ def test_a_loop_that_is_unstable_with_the_simulation_model_is_kept_with_its_reas
     outcome = evaluate(study(storey(-1.0)), 3, given())
     assert "not stable" in outcome.refused
     assert outcome.command is None
-    assert any("1 of 2 sets gave no controller" in line for line in report([evaluate(study(), 0, given()), outcome]))
+    assert any(
+        "1 of 2 sets gave no controller" in line for line in report([evaluate(study(), 0, given()), outcome], 0.9)
+    )
 
 
 def test_outcomes_do_not_depend_on_the_cluster_nor_on_killed_processes_and_none_is_left(tmp_path):
@@ -171,7 +239,9 @@ def test_outcomes_do_not_depend_on_the_cluster_nor_on_killed_processes_and_none_
         assert len(client.ncores()) == 2
         address = client.scheduler.address  # one that runs already
         parallel = explore(study(), sets, tmp_path / "own", scheduler=address, progress=progress.append)
-        with pytest.raises(AbraceError, match="measured quantities a7"):
+        with pytest.raises(AbraceError, match="fault a7=0: no controller measures a7, expected one of a1"):
+            explore(study(faults=[Fault("a7", 0.0)]), sets[:1], tmp_path / "none", scheduler=address)
+        with pytest.raises(AbraceError, match="weights: measured: a7, expected some of x1, a1, f"):
             explore(study(), [sets[0].model_copy(update={"measured": ["a7"]})], tmp_path / "none", scheduler=address)
         (tmp_path / "killed").mkdir()
         kept = {}
@@ -220,13 +290,15 @@ def test_a_recorded_test_is_scaled_to_the_peak_and_has_to_be_sampled_as_the_cont
     [
         ({"records": []}, "no records"),
         ({"capacity": np.array([1.0, 2.0])}, "2 force limits"),
-        ({"simulation_model": storey().select(("x1", "f"))}, "expected those of the design model"),
+        ({"simulation_models": [storey().select(("x1", "f"))]}, "expected those of the design model"),
+        ({"quantile": 0.0}, "quantile 0, expected a share of the loops above 0, up to 1"),
+        ({"intensities": [2.0, 1.0]}, "expected numbers above 0 that rise"),
     ],
 )
 def test_a_study_whose_parts_do_not_fit_is_refused(change, expected):
-    parts = {"model": storey(), "simulation_model": storey(), "records": records(), "capacity": CAPACITY} | change
+    parts = {"model": storey(), "simulation_models": [storey()], "records": records(), "capacity": CAPACITY}
     with pytest.raises(AbraceError, match=expected):
-        Study.of(**parts, sample_period=PERIOD)
+        Study.of(**parts | {"intensities": [1.0]} | change, sample_period=PERIOD)
 
 
 def test_a_set_is_written_as_weights_and_as_the_controller_that_was_tried(outcomes, tmp_path):
@@ -236,7 +308,9 @@ def test_a_set_is_written_as_weights_and_as_the_controller_that_was_tried(outcom
     assert float(rows[3]["x1_rms"]) == outcomes[3].relative["x1"].rms
     assert float(rows[3]["delay_margin_ms"]) == 1e3 * outcomes[3].margins.delay
     assert "not stable" in rows[24]["refused"]
-    assert rows[24]["x1_rms"] == ""
+    assert rows[24]["x1_rms"] == rows[24]["rank"] == ""
+    assert float(rows[3]["robust_displacement"]) == outcomes[3].robust["displacement"]
+    assert next(int(row["set"]) for row in rows if row["rank"] == "1") == ranked(outcomes)[0].number
 
     with pytest.raises(AbraceError, match="design refused: gain margin 5"):
         write_set(tmp_path, 7)
@@ -254,6 +328,18 @@ def test_a_set_is_written_as_weights_and_as_the_controller_that_was_tried(outcom
         load_set(tmp_path, 25)
     with pytest.raises(AbraceError, match="expected the folder of an exploration"):
         load_set(tmp_path / "nowhere", 0)
+
+
+def test_a_set_of_a_model_that_is_not_to_be_trusted_is_refused(outcomes, tmp_path):
+    save_exploration(tmp_path, study(), outcomes, storey(), {}, distrust=["model/validity.json says don't trust"])
+    with pytest.raises(AbraceError, match=r"model/validity\.json says don't trust \(accept: \[untrusted_model\]"):
+        write_set(tmp_path, 6)
+
+
+def test_measured_quantities_may_have_a_wildcard(tmp_path):
+    all_accelerations = given().model_copy(update={"measured": ["a*"]})
+    (found,) = explore(study(), [all_accelerations], tmp_path, workers=1)
+    assert not found.refused
 
 
 def test_an_infinite_margin_is_null_in_the_file(outcomes, tmp_path):
@@ -278,8 +364,16 @@ def test_the_figure_marks_the_given_weights_and_the_picked_set(outcomes):
 
 
 def test_the_report_lists_the_front_from_least_to_most_force(outcomes):
-    rows = [line.split() for line in report(outcomes)[2:] if line[2:5].strip().isdigit() and "(" not in line]
-    forces, responses = [float(row[1]) for row in rows], [float(row[5]) for row in rows]
+    lines = report(outcomes, 0.9)
+    split = lines.index(
+        "most robust, with no more command rms than the given weights and the margins that design asks for:"
+    )
+    rows, robust = (
+        [line.split() for line in part if line[2:5].strip().isdigit() and "(" not in line]
+        for part in (lines[3:split], lines[split:])
+    )
+    assert [int(row[0]) for row in robust] == [one.number for one in ranked(outcomes)[:5]]
+    forces, responses = [float(row[1]) for row in rows], [float(row[6]) for row in rows]
     assert len(rows) > 2
     assert forces == sorted(forces)
     assert responses == sorted(responses, reverse=True)
@@ -291,12 +385,11 @@ def test_sets_of_weights_are_tried_on_a_rig_with_two_brace_groups():
     half = load_weights(Path(__file__).parents[2] / "src/abrace_lqg/config/half.yaml")
     weights = scaled_weights(rig.model, half, 0.002, rig.capacity.tolist(), Excitation())
     motion = [noise_motion(1, 10.0, (0.3, 10.0), 0.002).scaled(1.0)]
-    five = Study.of(rig.model, rig.model, motion, capacity=rig.capacity, sample_period=0.002)
+    five = Study.of(rig.model, [rig.model], motion, intensities=[1.0], capacity=rig.capacity, sample_period=0.002)
     sets = weight_sets(weights, {"displacement": (-2.0, 1.0)}, 2, 1)
     found = [evaluate(five, number, one) for number, one in enumerate(sets)]
     assert not any(outcome.refused for outcome in found)
     for outcome in found:
         assert outcome.response("displacement") < 1.0
-        assert {"U1", "U2"} <= set(outcome.records[0])
         assert outcome.margins.gain > 6.0
     assert trade_off(found).axes

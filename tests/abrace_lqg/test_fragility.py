@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,10 +19,11 @@ from abrace_core.linear_model import LinearModel
 from abrace_core.loop_extremes import Motions
 from abrace_core.safety.rig_safety import RAMP_TIME
 from abrace_core.simulation import simulate, simulate_closed_loop
-from abrace_lqg.exploration.parts import Parts, checksum, read_parts
+from abrace_lqg.batches.parts import Parts, checksum, read_parts
 from abrace_lqg.fragility import study as study_module
-from abrace_lqg.fragility.assessment import assess, save
+from abrace_lqg.fragility.assessment import Fragility, assess, save
 from abrace_lqg.fragility.curves import fragility_curve
+from abrace_lqg.fragility.figures import Subject
 from abrace_lqg.fragility.loops import compute_batch, faulty
 from abrace_lqg.fragility.study import Fault, FragilityStudy, Interlock, with_drifts
 from abrace_plant.rig.file import load_rig
@@ -101,6 +104,51 @@ def test_an_interlock_ramps_the_command_to_zero_from_the_first_sample_at_which_i
     assert row["rms_U"] == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-9)
 
 
+def comparing(number: int) -> tuple[FragilityStudy, str]:
+    """The study whose interlocks compare a1 with the output of that name, by the reading's error itself."""
+    name = f"a{number} against the others"
+    direct = LinearModel(np.zeros((1, 1)), [[0.0]], [[0.0]], [[1.0]], ("a1",), (name,), PERIOD)
+    acting = (Interlock(name, 0.5, 4, 300), Interlock("a1", 1.5, 1), Interlock("x1", 1.0, 1))
+    return study(models=(RIG.model,), interlocks=acting, implausibility=direct), name
+
+
+def test_interlocks_see_what_a_failing_sensor_reads():
+    """Twice the acceleration is implausible from sample 300 on, and beyond the limit of a1 before: both act."""
+    given, name = comparing(1)
+    given = replace(given, faults=(Fault("a1", 2.0),), intensities=(0.5, 6.0, 20.0))
+    plant, seen = given.plant(0), set()
+    for row in rows_of(given):
+        number = given.motion_names.index(row["motion"])
+        ground = row["intensity"] * given.motions.ground[number, : given.motions.samples[number]]
+        if row["fault"] == "none":
+            assert row["interlock"] in ("none", "a1"), "nothing is implausible with intact sensors"
+            continue
+        law = faulty(controller().law, Fault("a1", 2.0))
+        outputs, _ = simulate_closed_loop(plant, law, ground, np.array([LIMIT]))
+        a1 = outputs[:, plant.outputs.index("a1")]
+        error = np.abs(a1) > 0.5
+        trips = [(k, name) for k in range(303, len(ground)) if error[k - 3 : k + 1].all()][:1]
+        trips += [(int(k), "a1") for k in np.flatnonzero(np.abs(2.0 * a1) > 1.5)[:1]]
+        expected = min(trips, default=None)
+        assert row["interlock"] == (expected[1] if expected else "none")
+        if expected:
+            assert row["trip_time"] == pytest.approx(expected[0] * PERIOD)
+        seen.add(row["interlock"])
+    assert seen == {"none", "a1", name}, "expected loops without a trip, and trips of both"
+
+
+def test_a_dead_sensor_is_stuck_and_a_drift_is_that_of_the_readings():
+    law = replace(controller().law, inputs=("x2",), b=controller().law.b * 50)
+    acting = (Interlock("stuck", 0.5, 25), Interlock("d3", 0.02, 3))
+    measuring = replace(controller(), law=law)
+    faults = (Fault("x2", 0.0), Fault("x2", -1.0))
+    given = study(models=(RIG.model,), controllers=(measuring,), faults=faults, interlocks=acting, intensities=(3.0,))
+    by_fault = {(row["fault"], row["motion"]): row for row in rows_of(given) if row["controller"] == "damper"}
+    dead, reversed_, intact = (by_fault[fault, "one"] for fault in ("x2=0", "x2=-1", "none"))
+    assert (dead["interlock"], dead["trip_time"]) == ("stuck", 24 * PERIOD)
+    assert (reversed_["interlock"], intact["interlock"]) == ("d3", "none"), "x3 + x2 is read as the drift"
+
+
 def test_drifts_are_differences_of_floors():
     plant = with_drifts(RIG.model)
     assert plant.outputs[-3:] == ("d1", "d2", "d3")
@@ -129,6 +177,10 @@ def test_batches_are_fixed_by_the_study_and_hold_every_case_once(monkeypatch):
         ({"faults": (Fault("a7", 0.0),)}, "fault a7=0: no controller measures a7, expected one of a1"),
         ({"sample_period": 0.01}, "every 0.002 s, expected the motions' 0.01 s"),
         ({"models": ()}, "no models"),
+        (
+            {"interlocks": (Interlock("d9", 0.01, 5),)},
+            "interlock d9: the model has no such quantity, expected one of x1, .* d1, d2, d3",
+        ),
     ],
 )
 def test_a_study_whose_parts_do_not_fit_is_refused(change, expected):
@@ -176,6 +228,56 @@ def test_a_limit_that_is_never_or_always_exceeded_has_no_curve():
         assert not len(found.resampled)
 
 
+def test_resamples_in_which_nothing_exceeds_the_limit_leave_the_median_without_an_upper_end():
+    intensity, loops = np.array([1.0, 2.0, 4.0]), np.ones((20, 3), dtype=int)
+    exceeded = np.zeros_like(loops)
+    exceeded[7, -1] = 1
+    found = fragility_curve(intensity, loops, exceeded)
+    without = np.isinf(found.resampled[:, 0])
+    assert len(found.resampled) == 400, "no resample should have been left out"
+    assert np.mean(without) == pytest.approx(0.95**20, abs=0.08), "as often as the one motion is not drawn"
+    low, high = found.median_interval()
+    assert 1.0 < low <= found.median
+    assert high == np.inf
+    lower, upper = found.band(intensity)
+    assert np.all(lower == 0.0), "no loop of more than 2.5 % of the resamples exceeds the limit"
+    assert upper[-1] > 1 / 20
+
+
+def test_resamples_in_which_everything_exceeds_the_limit_have_a_median_of_zero():
+    intensity, loops = np.array([1.0, 2.0, 4.0]), np.ones((20, 3), dtype=int)
+    exceeded = np.ones_like(loops)
+    exceeded[7, 0] = 0
+    found = fragility_curve(intensity, loops, exceeded)
+    low, high = found.median_interval()
+    assert low == 0.0
+    assert found.median <= high < 2.0
+    lower, upper = found.band(intensity)
+    assert np.all(upper == 1.0)
+    assert np.all(lower <= found.probability(intensity))
+
+
+def test_a_median_without_an_upper_end_is_written_and_drawn(tmp_path):
+    intensity, loops = np.array(INTENSITIES), np.ones((20, 3), dtype=int)
+    exceeded = np.zeros_like(loops)
+    exceeded[7, -1] = 1
+    curve = fragility_curve(intensity, loops, exceeded)
+    subject = Subject("damper", "none", {"d1": curve}, np.array([1e3, 2e3, 3e3]), np.zeros(3), np.zeros(3))
+    found = Fragility(tmp_path, {"d1": 0.01}, INTENSITIES, (replace(subject, controller="zero command"), subject))
+    save(found)
+    assert re.search(r"damper: d1 above 0.01 m: median \S+ m/s\^2 \(\S+ or more\), dispersion", found.text())
+    (_, row) = json.loads((tmp_path / "fragility.json").read_text(encoding="utf-8"))["curves"]
+    assert row["high"] is None
+    assert row["low"] < row["median"]
+    figure = found.plot("trade_off")
+    figure.draw_without_rendering()
+    (axis,) = figure.axes
+    assert len(axis.texts) == 2, "expected an arrow for each of the two subjects"
+    assert np.isfinite(axis.axis()).all()
+    (curves,) = found.plot("fragility").axes
+    assert np.isfinite(curves.axis()).all()
+
+
 def test_finished_batches_are_kept_and_results_of_other_inputs_are_never_mixed(tmp_path):
     given = study(models=(RIG.model,))
     table = compute_batch(given, given.batches()[0])
@@ -185,6 +287,10 @@ def test_finished_batches_are_kept_and_results_of_other_inputs_are_never_mixed(t
     parts.write(0, table)
     assert Parts(tmp_path / "loops", checksum(given), 3).missing() == [2]
     assert parts.path(0).read_bytes() == parts.path(1).read_bytes()
+    (tmp_path / "loops/.4711.part-000002.parquet").write_bytes(b"a killed process has left this")
+    assert parts.missing() == [2]
+    parts.clean()
+    assert {path.name for path in (tmp_path / "loops").iterdir()} == {parts.path(number).name for number in (0, 1)}
     assert str(read_parts(tmp_path / "loops").to_pylist()) == str(2 * table.to_pylist())
     other = replace(given, intensities=(0.5, 2.0, 6.5))
     with pytest.raises(AbraceError, match=r"part-00000\d.parquet: computed from other inputs"):

@@ -55,6 +55,38 @@ def test_a_reduction_that_no_weight_gives_is_refused(five):
         scaled(five, reduction=0.99)
 
 
+def test_a_reduction_of_displacements_needs_displacements(five):
+    half = load_weights(SOURCE / "abrace_lqg/config/half.yaml")
+    model = five.model.select(outputs=[f"a{floor}" for floor in range(1, 6)])
+    with pytest.raises(
+        AbraceError, match=r"scale\.reduction: the model has no displacements, only a1, a2, a3, a4, a5, "
+    ):
+        scaled_weights(model, half, PERIOD, five.capacity.tolist(), EXCITATION)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"relative": {"x6": 2.0}}, r"weights: relative: x6, expected some of x1, "),
+        ({"relative": {"U": 2.0}}, r"weights: relative: U, expected some of x1, "),
+        ({"relative": {"d1": 2.0}}, r"weights: relative: d1, expected some of x1, "),
+        ({"measured": ["a*", "a1"]}, r"weights: measured: a\*, a1, expected each quantity once"),
+    ],
+)
+def test_names_that_the_model_has_not_are_refused(five, change, message):
+    half = load_weights(SOURCE / "abrace_lqg/config/half.yaml")
+    with pytest.raises(AbraceError, match=message):
+        scaled_weights(five.model, half.model_copy(update=change), PERIOD, five.capacity.tolist(), EXCITATION)
+
+
+def test_each_command_needs_a_force_limit(five):
+    half = load_weights(SOURCE / "abrace_lqg/config/half.yaml")
+    with pytest.raises(
+        AbraceError, match=r"force_limit: \[1000\.0\] N, expected one for each command of the model \(U1, U2"
+    ):
+        scaled_weights(five.model, half, PERIOD, [1000.0], EXCITATION)
+
+
 def test_weights_that_are_not_scaled_yet_make_no_controller(five):
     with pytest.raises(AbraceError, match="weights with a scale"):
         design(five.model, load_weights(SOURCE / "abrace_lqg/config/half.yaml"), PERIOD)

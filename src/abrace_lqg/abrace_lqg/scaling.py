@@ -41,7 +41,7 @@ ACCURATE = 0.02
 def scaled_weights(
     model: LinearModel, weights: Weights, sample_period: float, force_limit: Sequence[float], excitation: Excitation
 ) -> Weights:
-    """The weights in SI units, for one rig; weights without a scale as they are.
+    """The weights in SI units, for one rig and its names; without a scale only names with a wildcard are expanded.
 
     Parameters
     ----------
@@ -59,11 +59,19 @@ def scaled_weights(
     Raises
     ------
     AbraceError
-        If no factor reaches what is asked for.
+        If a name is none of the model's, there is not one force limit for each command, the model has no displacements
+        to reduce, or no factor reaches what is asked for.
     """
+    commands = model.inputs[1:]
+    if len(force_limit) != len(commands):
+        expected = ", ".join(commands)
+        raise AbraceError(
+            f"force_limit: {list(force_limit)} N, expected one for each command of the model ({expected})"
+        )
+    weights = weights.of(model.outputs, commands)
     if weights.scale is None:
         return weights
-    commands, plant = model.inputs[1:], sampled(model, sample_period)
+    plant = sampled(model, sample_period)
     names, rows = weights.weighed(model.outputs)
     seen = LinearModel(plant.a, plant.b, rows @ plant.c, rows @ plant.d, plant.inputs, names, plant.sample_period)
     without = predicted_rms(seen, None, excitation)
@@ -71,6 +79,11 @@ def scaled_weights(
     unit |= {name: 1 / limit**2 for name, limit in zip(commands, force_limit, strict=True)}
     relative = {name: value * weights.relative.get(name, 1.0) for name, value in unit.items()}
     floors = [name for name in model.outputs if signal_kind(name) == "displacement"]
+    if weights.scale.reduction is not None and not floors:
+        raise AbraceError(
+            f"weights: scale.reduction: the model has no displacements, only {', '.join(model.outputs)}, "
+            "expected scale.force"
+        )
 
     def with_factor(power: float) -> Weights:
         kinds = {
@@ -97,7 +110,7 @@ def scaled_weights(
             found = np.inf
         low, high = (middle, high) if found < asked else (low, middle)
     found = reached(low)
-    if abs(found - asked) > ACCURATE:
+    if not abs(found - asked) <= ACCURATE:
         (name,) = weights.scale.model_dump(exclude_none=True)
         raise AbraceError(f"weights: scale.{name}: {asked:g}, expected {found:.2g} at most on this rig")
     return with_factor(low)

@@ -137,12 +137,14 @@ class Weights(Checked):
         Raises
         ------
         AbraceError
-            If a name is none of the model's, or there is not one mass for each floor.
+            If a name is none of the model's, a quantity is measured twice, or there is not one mass for each floor.
         """
         measured: list[str] = []
         for name in self.measured:
             several = [one for one in outputs if name.endswith("*") and re.fullmatch(name[:-1] + r"[0-9]+", one)]
             measured += several or [name]
+        if len(set(measured)) < len(measured):
+            raise AbraceError(f"weights: measured: {', '.join(self.measured)}, expected each quantity once")
         known = (*outputs, *commands, *self._combined(outputs)[0])
         for what, names, expected in (
             ("measured", measured, outputs),

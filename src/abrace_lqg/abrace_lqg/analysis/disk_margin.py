@@ -30,12 +30,14 @@ if TYPE_CHECKING:
 DESCENT_STEPS = 60
 """Of the gradient descent over D."""
 
+LIKELY = 8
+"""Number of frequencies, those with the greatest first bounds, that are refined before all others."""
+
 BALANCING_SWEEPS = 20
 """Sweeps that bring rows and columns to one size."""
 
-ROUNDING = 1 - 1e-6
-"""Share of the greatest spectral radius below which a frequency's bound rules it out: both may be equal but for
-rounding."""
+SQUARINGS = 6
+"""Squarings of |M|: to its 64th power."""
 
 TINY = 1e-9
 """Share of the greatest entry that is added to all of |M|, so that Perron's vectors have no zero."""
@@ -74,13 +76,15 @@ class DiskMargin:
 
 
 @takes_models
-def disk_margin(model: LinearModel, controller: LinearModel) -> DiskMargin:
+def disk_margin(model: LinearModel, controller: LinearModel, below: float = np.inf) -> DiskMargin:
     """The disk margin of all commands and all measured quantities at once.
 
     Parameters
     ----------
     model, controller
         As in `abrace_lqg.loop.closed_loop`.
+    below
+        Only a margin below that is wanted: of a greater one a lower bound is returned, which is not below that.
 
     Raises
     ------
@@ -96,31 +100,41 @@ def disk_margin(model: LinearModel, controller: LinearModel) -> DiskMargin:
     open_loop = np.zeros((len(omega), size, size), dtype=np.complex128)
     open_loop[:, :commands, commands:], open_loop[:, commands:, :commands] = law, plant
     matrix = np.asarray(np.linalg.inv(np.eye(size) - open_loop) - np.eye(size) / 2, dtype=np.complex128)
-    # mu lies between spectral radius and bound: a frequency whose bound is below the greatest radius cannot be the peak
-    greatest = float(np.abs(np.linalg.eigvals(matrix)).max())
-    refined = structured_bound(matrix, DESCENT_STEPS, ROUNDING * greatest)
-    worst = int(np.argmax(refined))
-    return DiskMargin(float(1 / refined[worst]), float(omega[worst]))
+    # a frequency whose bound falls below another one's least bound is not the peak: the likely peaks are refined first
+    scaling = perron_scaling(matrix)
+    bound = descended(matrix, scaling, 0)
+    likely = np.argsort(bound)[-LIKELY:]
+    enough = max(float(descended(matrix[likely], scaling[likely], DESCENT_STEPS, 1 / below).max()), 1 / below)
+    left = np.flatnonzero(bound >= enough)
+    if not len(left):
+        return DiskMargin(below, float(omega[likely[-1]]))
+    bound[left] = descended(matrix[left], scaling[left], DESCENT_STEPS, enough)
+    worst = int(left[np.argmax(bound[left])])
+    return DiskMargin(float(1 / bound[worst]), float(omega[worst]))
 
 
-def structured_bound(matrix: NDArray[np.complex128], descent_steps: int, enough: float = 0.0) -> NDArray[np.float64]:
-    """Upper bound of mu of each matrix, for a diagonal complex perturbation.
+def structured_bound(matrix: NDArray[np.complex128], descent_steps: int) -> NDArray[np.float64]:
+    """Upper bound (matrices,) of mu of each matrix, for a diagonal complex perturbation.
 
     Parameters
     ----------
     matrix
         Matrices M (matrices, signals, signals).
     descent_steps
-        Steps along the gradient of log sigma_max(D M D^-1) by log D, which is |u_i|^2 - |v_i|^2 with the first singular
-        vectors u and v. They begin at the D of Perron's vectors of |M|, whose rows and columns are balanced before, as
-        signals are in newtons and in m/s^2. The least bound of all steps is returned.
-    enough
-        A matrix whose bound is below that takes no further step.
+        From `perron_scaling` on.
+    """
+    return descended(matrix, perron_scaling(matrix), descent_steps)
 
-    Returns
-    -------
-    NDArray
-        (matrices,).
+
+def perron_scaling(matrix: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Logarithms (matrices, signals) of the diagonal D of Perron's vectors of |M|.
+
+    Rows and columns of |M| are balanced before, as signals are in newtons and in m/s^2.
+
+    Parameters
+    ----------
+    matrix
+        Matrices M (matrices, signals, signals).
     """
     logarithm = np.zeros(matrix.shape[:2])
     sizes = np.abs(matrix)
@@ -131,11 +145,34 @@ def structured_bound(matrix: NDArray[np.complex128], descent_steps: int, enough:
         logarithm += np.clip(step, -5, 5)
     scale = np.exp(logarithm)
     scaled = sizes * (scale[:, :, None] / scale[:, None, :])
-    values, right = np.linalg.eig(scaled + TINY * scaled.max(axis=(1, 2), keepdims=True))
-    pick, first = np.arange(len(matrix)), np.argmax(values.real, axis=1)
-    left = np.linalg.inv(right)[pick, first]
-    logarithm += (np.log(np.abs(left)) - np.log(np.abs(right[pick, :, first]))) / 2
-    best, active = np.full(len(matrix), np.inf), pick
+    scaled += TINY * scaled.max(axis=(1, 2), keepdims=True)
+    for _ in range(SQUARINGS):
+        scaled = scaled @ scaled
+        scaled /= scaled.max(axis=(1, 2), keepdims=True)
+    # a high power of a positive matrix is Perron's right vector times the left one
+    right, left = scaled.sum(axis=2), scaled.sum(axis=1)
+    return np.asarray(logarithm + (np.log(left) - np.log(right)) / 2)
+
+
+def descended(
+    matrix: NDArray[np.complex128], scaling: NDArray[np.float64], descent_steps: int, enough: float = 0.0
+) -> NDArray[np.float64]:
+    """The least bound (matrices,) of mu along a descent over the scaling D.
+
+    Parameters
+    ----------
+    matrix
+        Matrices M (matrices, signals, signals).
+    scaling
+        Logarithms of the first D (matrices, signals).
+    descent_steps
+        Steps along the gradient of log sigma_max(D M D^-1) by log D, which is |u_i|^2 - |v_i|^2 with the first singular
+        vectors u and v. The least bound of all steps is returned.
+    enough
+        A matrix whose bound is below that takes no further step.
+    """
+    logarithm = scaling.copy()
+    best, active = np.full(len(matrix), np.inf), np.arange(len(matrix))
     for step in range(descent_steps + 1):
         scale = np.exp(logarithm[active])
         rescaled = matrix[active] * (scale[:, :, None] / scale[:, None, :])
@@ -146,4 +183,6 @@ def structured_bound(matrix: NDArray[np.complex128], descent_steps: int, enough:
         best[active] = np.minimum(best[active], sigma)
         logarithm[active] -= (np.abs(u) ** 2 - np.abs(v) ** 2) / (1 + step) ** 0.5
         active = active[best[active] >= enough]
+        if not active.size:
+            break
     return best

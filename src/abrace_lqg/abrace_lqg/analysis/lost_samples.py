@@ -79,9 +79,11 @@ def lost_samples(
     """
     answered, lost = _transitions(sampled(model, controller.sample_period), controller, correction)
     gap = np.linalg.matrix_power(lost.a, in_a_row)
+    cycles = [gap @ answered.a]
+    for _ in range(in_a_row + 1, LONGEST_PERIOD):
+        cycles.append(cycles[-1] @ answered.a)
     stable_every = None
-    for period in range(LONGEST_PERIOD, in_a_row, -1):
-        cycle = gap @ np.linalg.matrix_power(answered.a, period - in_a_row)
+    for period, cycle in zip(range(LONGEST_PERIOD, in_a_row, -1), reversed(cycles), strict=True):
         if np.abs(np.linalg.eigvals(cycle)).max() >= 1:
             break
         stable_every = period
@@ -93,15 +95,16 @@ def lost_samples(
     for _ in range(in_a_row):
         deviation = deviation @ lost.a.T + course @ change_a.T + ground @ change_b.T
         course, ground = course * advance, ground * advance
-    # a real factor of the deviation's covariance, advanced sample by sample
+    # a real factor of the deviation's covariance
     _, upper = np.linalg.qr(np.vstack([deviation.real, deviation.imag]))
     factor = upper.T
     first = states - len(controller.inputs) - controller.order - len(controller.outputs)
     force = slice(first, first + len(controller.outputs))
-    largest = np.zeros(len(controller.outputs))
+    largest, in_force = np.zeros(len(controller.outputs)), np.eye(states)[force]
     for _ in range(FOLLOWED):
-        largest = np.maximum(largest, np.sqrt(np.sum(factor[force] ** 2, axis=1)))
-        factor = answered.a @ factor
+        largest = np.maximum(largest, np.linalg.norm(in_force @ factor, axis=1))
+        # the commands in force a sample later, as combinations of the first states
+        in_force = in_force @ answered.a
     usual = np.sqrt(np.sum(np.abs(amplitudes[:, force]) ** 2, axis=0))
     return LostSamples(in_a_row, stable_every, float(np.max(largest / np.where(usual > 0, usual, np.inf))))
 

@@ -17,10 +17,20 @@ from abrace_core.linear_model import takes_models
 from abrace_lqg.loop import NEGLIGIBLE_POLE, closed_loop, eigenvalues, sampled
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
     from abrace_core.linear_model import LinearModel
 
-LOCUS_STEPS = 150
-"""Steps of the gain on the commands, from zero to one."""
+LEAST_STEP, LONGEST_STEP = 1 / 150, 1 / 8
+"""Steps of the square root of the gain on the commands, which goes from zero to one."""
+
+CLEAR = 0.2
+"""A pole that moves in a step by a smaller share of the distance to the next pole is not taken for that one."""
+
+SAME_POLE = 1e-5
+"""Distance in the z plane of poles of the same mode, which some models have once for each input."""
 
 SAME_MODE = 0.05
 """Relative difference of frequency within which a pole pair counts as one of the design model's."""
@@ -69,19 +79,20 @@ def mode_effects(model: LinearModel, controller: LinearModel, design_model: Line
     commands = slice(plant.order, plant.order + len(controller.outputs))
     gain = np.ones((len(loop), 1))
     gain[commands] = 0.0
-    start = followed = eigenvalues(gain * loop)
-    for value in np.linspace(0, 1, LOCUS_STEPS + 1)[1:] ** 2:
-        gain[commands] = value
-        poles = eigenvalues(gain * loop)
-        _, order = linear_sum_assignment(np.abs(followed[:, None] - poles))
-        followed = poles[order]
+    start = eigenvalues(gain * loop)
     # with zero gain the loop's poles are the plant's and the controller's: find the plant's among them
     own = eigenvalues(plant.a)
     own = own[(own.imag > 1e-9) & (np.abs(own) > NEGLIGIBLE_POLE)]
     _, indices = linear_sum_assignment(np.abs(own[:, None] - start))
+
+    def poles_at(share: float) -> NDArray[np.complex128]:
+        gain[commands] = share**2
+        return eigenvalues(gain * loop)
+
+    followed = _followed(poles_at, start, indices)
     known = np.abs(design_model.poles()[design_model.poles().imag > 0])
     effects = []
-    for before, after in zip(np.log(own) / period, np.log(followed[indices]) / period, strict=True):
+    for before, after in zip(np.log(own) / period, np.log(followed) / period, strict=True):
         frequency = float(abs(before))
         effects.append(
             ModeEffect(
@@ -93,3 +104,28 @@ def mode_effects(model: LinearModel, controller: LinearModel, design_model: Line
             )
         )
     return sorted(effects, key=lambda effect: effect.frequency)
+
+
+def _followed(
+    poles_at: Callable[[float], NDArray[np.complex128]], start: NDArray[np.complex128], indices: NDArray[np.int64]
+) -> NDArray[np.complex128]:
+    """Where the poles with these `indices` in `start` are at the end, followed from `poles_at(0)` to `poles_at(1)`.
+
+    A step is halved, down to the least, if such a pole moves so far that it may be taken for another one that began
+    elsewhere.
+    """
+    followed, share, step = start, 0.0, LONGEST_STEP
+    together = np.abs(start[indices, None] - start) < SAME_POLE
+    while share < 1:
+        step = min(step, 1 - share)
+        poles = poles_at(share + step)
+        _, order = linear_sum_assignment(np.abs(followed[:, None] - poles))
+        poles = poles[order]
+        moved = np.abs(poles - followed)[indices]
+        others = np.abs(poles[indices, None] - poles)
+        others[together] = np.inf
+        if step > LEAST_STEP and (moved > CLEAR * others.min(axis=1)).any():
+            step = max(step / 2, LEAST_STEP)
+            continue
+        followed, share, step = poles, share + step, min(2 * step, LONGEST_STEP)
+    return followed[indices]

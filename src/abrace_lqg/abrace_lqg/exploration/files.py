@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.linear_model import save_model, takes_models
+from abrace_lqg.exploration.report import ranked
 from abrace_lqg.proof.files import finite_or_null
 from abrace_lqg.proof.proven_design import design_to_file
 from abrace_lqg.weights import Weights, save_weights
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from abrace_lqg.exploration.study import Outcome, Study
     from abrace_lqg.proof.checks import Proof
 
-FILE_FORMAT = "abrace exploration 1"
+FILE_FORMAT = "abrace exploration 3"
 
 
 @takes_models
@@ -41,6 +42,7 @@ def save_exploration(
     simulation_model: LinearModel,
     made_from: Mapping[str, Any],
     covariance: NDArray[np.float64] | None = None,
+    distrust: Sequence[str] = (),
 ) -> None:
     """Write `exploration.json`, `exploration.csv`, `model.json` and `simulation_model.json`.
 
@@ -53,33 +55,42 @@ def save_exploration(
     outcomes
         Of all sets.
     simulation_model
-        Continuous, as it was read.
+        Continuous, as it was read, before others were drawn from it.
     made_from
         Where the sets come from, any JSON values: files, spans, seed.
     covariance
         Of the simulation model's parameters: a set that is picked is proved with models drawn from it.
+    distrust
+        A sentence for each of the models that says why it is not to be trusted, as from `distrusted`: an objection to
+        every set.
     """
     folder = Path(folder)
     save_model(study.model, folder / "model.json")
     save_model(simulation_model, folder / "simulation_model.json", covariance)
+    loops = study.loops
     records = [
-        {"name": record.name, "samples": len(record.ground_acceleration), "zero_command": _rows(free)}
-        for record, free in zip(study.records, study.zero_command, strict=True)
+        {"name": name, "samples": int(samples)}
+        for name, samples in zip(loops.motion_names, loops.motions.samples, strict=True)
     ]
     content = {
         "format": FILE_FORMAT,
         "made_from": dict(made_from),
-        "sample_period": study.plant.sample_period,
+        "distrust": list(distrust),
+        "sample_period": loops.sample_period,
         "force_limit": study.capacity.tolist(),
         "records": records,
+        "intensities": loops.intensities,
+        "models": len(loops.models),
+        "faults": [fault.name for fault in study.faults],
+        "quantile": study.quantile,
         "sets": [_as_json(outcome) for outcome in outcomes],
     }
     write_text(folder / "exploration.csv", _table(outcomes))
     write_text(folder / "exploration.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
-def load_set(folder: Path | str, number: int) -> tuple[Weights, float, list[float]]:
-    """Weights of one set of an exploration, and the controllers' sample period [s] and force limits [N].
+def load_set(folder: Path | str, number: int) -> tuple[Weights, dict[str, Any]]:
+    """Weights of one set of an exploration, and what `design_to_file` needs besides, by name.
 
     Parameters
     ----------
@@ -103,7 +114,8 @@ def load_set(folder: Path | str, number: int) -> tuple[Weights, float, list[floa
             raise AbraceError(f"{path}: no set {number}, expected 0 to {len(sets) - 1}")
         if sets[number]["refused"]:
             raise AbraceError(f"{path}: set {number} gives no controller: {sets[number]['refused']}")
-        return Weights.model_validate(sets[number]["weights"]), content["sample_period"], content["force_limit"]
+        given = {name: content[name] for name in ("sample_period", "force_limit", "distrust")}
+        return Weights.model_validate(sets[number]["weights"]), given
     except OSError as error:
         raise AbraceError(f"{path}: {error.strerror}, expected the folder of an exploration") from error
     except (KeyError, TypeError, ValueError) as error:
@@ -132,43 +144,35 @@ def write_set(folder: Path | str, number: int) -> tuple[Proof, list[Path]]:
         If the design is refused; then only the weights are written.
     """
     folder = Path(folder)
-    weights, sample_period, force_limit = load_set(folder, number)
+    weights, given = load_set(folder, number)
     weights_file, controller_file = folder / f"set_{number}_weights.yaml", folder / f"set_{number}.yaml"
     save_weights(weights, weights_file, f"Set {number} of the exploration in {folder}.")
     models = [str(folder / "model.json"), str(folder / "simulation_model.json")]
     proof, _, written = design_to_file(
-        models,
-        controller_file,
-        weights=weights,
-        weights_name=weights_file.name,
-        sample_period=sample_period,
-        force_limit=force_limit,
+        models, controller_file, weights=weights, weights_name=weights_file.name, **given
     )
     return proof, [weights_file, *written]
 
 
-def _rows(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: row._asdict() for name, row in table.items()}
-
-
 def _as_json(outcome: Outcome) -> dict[str, Any]:
     values = asdict(outcome) | {"weights": outcome.weights.model_dump()}
-    if outcome.margins is not None and outcome.relative is not None and outcome.command is not None:
-        values["margins"] = finite_or_null(values["margins"])
-        values |= {"relative": _rows(outcome.relative), "command": outcome.command._asdict()}
-        values["records"] = [_rows(table) for table in outcome.records]
-    return values
+    values["relative"] = {name: row._asdict() for name, row in outcome.relative.items()}
+    values["command"] = outcome.command._asdict() if outcome.command else None
+    found: dict[str, Any] = finite_or_null(values)
+    return found
 
 
 def _table(outcomes: Sequence[Outcome]) -> str:
     """CSV with a row for each set; units are named in the columns' names or SI."""
     rows: list[dict[str, object]] = []
+    ranks = {outcome.number: rank for rank, outcome in enumerate(ranked(outcomes), 1)}
     for outcome in outcomes:
         row: dict[str, object] = {"set": outcome.number, **outcome.weights.weights.model_dump()}
         row |= {"noise_to_excitation": outcome.weights.noise_to_excitation, "refused": outcome.refused}
-        if outcome.margins is not None and outcome.relative is not None and outcome.command is not None:
+        if outcome.margins is not None and outcome.command is not None:
             found = outcome.margins
             row |= {
+                "rank": ranks.get(outcome.number, ""),
                 "gain_margin_db": found.gain,
                 "phase_margin_deg": found.phase,
                 "delay_margin_ms": 1e3 * found.delay,
@@ -176,7 +180,10 @@ def _table(outcomes: Sequence[Outcome]) -> str:
                 "command_peak": outcome.command.peak,
                 "command_rms": outcome.command.rms,
                 "saturated_samples": outcome.saturated,
+                "loops": outcome.loops,
+                "interlocked_loops": outcome.interlocked,
             }
+            row |= {f"robust_{kind}": value for kind, value in outcome.robust.items()}
             for name, (peak, rms) in outcome.relative.items():
                 row |= {f"{name}_peak": peak, f"{name}_rms": rms}
         rows.append(row)

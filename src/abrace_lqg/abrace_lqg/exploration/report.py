@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Text report of an exploration: the Pareto-optimal sets, and the reasons why others gave no controller."""
+"""Text report of an exploration: Pareto-optimal sets, the most robust ones, and why others gave no controller."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from abrace_lqg.proof.limits import Limits
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,6 +19,12 @@ if TYPE_CHECKING:
 
 LISTED_SETS = 12
 """Sets of the Pareto front that are listed, spread evenly over it."""
+
+HEADING = (
+    "  set  command rms, peak (N)  saturated  displacement  robust  acceleration  robust  gain dB  phase deg  delay ms"
+)
+LISTED_ROBUST = 5
+"""Most robust sets that are listed."""
 
 LISTED_REASONS = 3
 """Most frequent reasons that are listed."""
@@ -38,13 +46,36 @@ def pareto_front(force: NDArray[np.float64], response: NDArray[np.float64]) -> N
     return order[np.append(True, least[1:] < least[:-1])[: len(order)]]
 
 
-def report(outcomes: Sequence[Outcome]) -> list[str]:
-    """Lines with some sets of the Pareto front, the given weights, and the reasons of sets without a controller.
+def ranked(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Sets that take no more force than the given weights, by their robust response, the least first.
+
+    Those are left out whose gain, phase or delay margin is less than `design` asks for (the defaults of `Limits`).
+
+    Parameters
+    ----------
+    outcomes
+        Of all sets, the given weights first. Where these give no controller, any force is allowed.
+    """
+    given = outcomes[0].command
+    allowed = [one for one in outcomes if one.command and (given is None or one.command.rms <= given.rms)]
+    return sorted(filter(_suffices, allowed), key=lambda one: one.robust_response)
+
+
+def _suffices(outcome: Outcome) -> bool:
+    found, least = outcome.margins, Limits()
+    assert found is not None
+    return found.gain >= least.gain_margin and found.phase >= least.phase_margin and found.delay >= least.delay_margin
+
+
+def report(outcomes: Sequence[Outcome], quantile: float) -> list[str]:
+    """Lines with some sets of the Pareto front, the most robust sets, and the reasons of sets without a controller.
 
     Parameters
     ----------
     outcomes
         Of all sets, the given weights first.
+    quantile
+        Of the robust responses.
     """
     found = [outcome for outcome in outcomes if not outcome.refused]
     lines = []
@@ -55,11 +86,21 @@ def report(outcomes: Sequence[Outcome]) -> list[str]:
         chosen = front[np.unique(np.linspace(0, len(front) - 1, LISTED_SETS).round().astype(int))]
         lines += [
             "response: rms over that with zero command; margins with the simulation model",
-            "  set  command rms, peak (N)  saturated  displacement  acceleration  gain dB  phase deg  delay ms",
+            f"robust: {quantile:g} of {found[0].loops} loops respond no more",
+            HEADING,
             *(_row(found[index], "") for index in chosen),
         ]
         if not outcomes[0].refused:
             lines.append(_row(outcomes[0], "  (the given weights)"))
+        best = ranked(outcomes)[:LISTED_ROBUST]
+        force_of_given = "" if outcomes[0].refused else ", with no more command rms than the given weights"
+        lines += [
+            f"most robust{force_of_given} and the margins that design asks for{':' if best else ': none'}",
+            *(_row(outcome, "") for outcome in best),
+        ]
+        tripped = sum(outcome.interlocked for outcome in found)
+        if tripped:
+            lines.append(f"interlocks acted in {tripped} of {sum(outcome.loops for outcome in found)} loops")
     refused = Counter(outcome.refused for outcome in outcomes if outcome.refused)
     if refused:
         lines.append(f"{refused.total()} of {len(outcomes)} sets gave no controller:")
@@ -75,6 +116,7 @@ def _row(outcome: Outcome, note: str) -> str:
     assert margins is not None
     return (
         f"{outcome.number:5d}  {command.rms:11.0f}  {command.peak:8.0f}  {outcome.saturated:9d}"
-        f"  {outcome.response('displacement'):12.3f}  {outcome.response('acceleration'):12.3f}"
+        f"  {outcome.response('displacement'):12.3f}  {outcome.robust['displacement']:6.3f}"
+        f"  {outcome.response('acceleration'):12.3f}  {outcome.robust['acceleration']:6.3f}"
         f"  {margins.gain:7.1f}  {margins.phase:9.1f}  {1e3 * margins.delay:8.1f}{note}"
     )

@@ -1,27 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One set of weights tried: designed, its margins computed, and its closed loop run through every record.
+"""One set of weights tried: designed, its margins computed, and its closed loops run.
 
 Eq. (11) leaves the weights open, and does not minimise what matters in a test: peaks, saturation and margins. So each
-set is judged by simulation, with the commands limited to the braces' capacity. Margins and simulation have a model of
-their own, which may differ from the one to design with.
+set is judged by simulation, under every record at every intensity, with every model of an ensemble, with intact sensors
+and each fault: the loops of a fragility study with its controller. Two numbers come of them: the mean response of the
+simulation model itself, and a quantile over all loops, which a set reaches that is robust.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow
 
-from abrace_core import signals
+from abrace_core.controller_file import Controller
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import takes_models
 from abrace_core.loop_extremes import Motions, loop_extremes
-from abrace_core.response import PeakRms, peak_rms_of
-from abrace_core.simulation import simulate
+from abrace_core.response import PeakRms
 from abrace_lqg.analysis.margins import Margins, margins
 from abrace_lqg.design import design
+from abrace_lqg.fragility.loops import compute_batch
+from abrace_lqg.fragility.study import INTACT, FragilityStudy
 from abrace_lqg.loop import sampled
 from abrace_lqg.weights import Weights, signal_kind
 
@@ -32,6 +35,12 @@ if TYPE_CHECKING:
 
     from abrace_core.linear_model import LinearModel
     from abrace_lqg.exploration.ensemble import Record
+    from abrace_lqg.fragility.study import Fault, Interlock
+
+MARGINS = ("gain", "phase", "delay", "sensitivity_peak")
+"""Fields of `Margins`, columns of the results."""
+RANKED = ("displacement", "acceleration")
+"""Kinds of responses by which sets are ranked."""
 
 
 @dataclass(frozen=True)
@@ -42,72 +51,106 @@ class Study:
     ----------
     model
         To design with, continuous.
-    plant
-        To simulate with, at the controllers' sample period.
-    records
-        Ground motions.
-    zero_command
-        For each record peak and rms of the plant's outputs with zero command [SI units].
+    loops
+        Models to simulate with, the first for margins and the mean response, ground motions, intensities, interlocks;
+        no controllers.
+    faults
+        Of sensors that the sets measure.
     capacity
         (commands,) [N]; commands are limited to it.
+    quantile
+        Share of the loops that respond no more than a set's robust response.
+    zero_command
+        (2, models, motions, outputs) peak and rms with zero command at 1 m/s^2 [SI units].
     """
 
     model: LinearModel
-    plant: LinearModel
-    records: tuple[Record, ...]
-    zero_command: tuple[dict[str, PeakRms], ...]
+    loops: FragilityStudy
+    faults: tuple[Fault, ...]
     capacity: NDArray[np.float64]
+    quantile: float
+    zero_command: NDArray[np.float64]
 
     @cached_property
-    def motions(self) -> Motions:
-        """The records' ground motions."""
-        return Motions.of(record.ground_acceleration for record in self.records)
+    def plant(self) -> LinearModel:
+        """The first model to simulate with, at the controllers' sample period."""
+        return sampled(self.loops.models[0], self.loops.sample_period)
+
+    @property
+    def count(self) -> int:
+        """Number of closed loops of a set."""
+        tried = len(self.loops.models) * (1 + len(self.faults))
+        return tried * len(self.loops.motion_names) * len(self.loops.intensities)
 
     @classmethod
     @takes_models
     def of(
         cls,
         model: LinearModel,
-        simulation_model: LinearModel,
+        simulation_models: Sequence[LinearModel],
         records: Iterable[Record],
         *,
+        intensities: Sequence[float],
         capacity: NDArray[np.float64],
         sample_period: float,
+        faults: Sequence[Fault] = (),
+        interlocks: Sequence[Interlock] = (),
+        implausibility: LinearModel | None = None,
+        quantile: float = 0.9,
     ) -> Study:
         """Check that models, records and limits fit each other, and simulate the records with zero command.
 
         Parameters
         ----------
-        model, simulation_model
-            Continuous, to design and to simulate with; both from the ground acceleration and the same commands.
+        model, simulation_models
+            Continuous, to design and to simulate with; all from the ground acceleration and the same commands.
         records
             Ground motions at the sample period.
+        intensities
+            Peak accelerations to which each is scaled [m/s^2], rising.
         capacity
             (commands,) [N].
         sample_period
             Of the controllers [s].
+        faults, interlocks, implausibility
+            As for `FragilityStudy`.
+        quantile
+            Above 0, up to 1: the worst loop.
 
         Raises
         ------
         AbraceError
-            If there are no records, or signals and force limits of the models differ.
+            If there are no records, or signals, force limits or numbers do not fit.
         """
-        records = tuple(records)
+        records = [record.scaled(1.0) for record in records]
         if not records:
             raise AbraceError("no records, expected a recorded test or noise")
-        commands = model.inputs[1:]
-        if simulation_model.inputs != model.inputs or set(model.outputs) - set(simulation_model.outputs):
+        if not 0 < quantile <= 1:
+            raise AbraceError(f"quantile {quantile:g}, expected a share of the loops above 0, up to 1")
+        commands, first = model.inputs[1:], simulation_models[0]
+        if first.inputs != model.inputs or set(model.outputs) - set(first.outputs):
             raise AbraceError(
-                f"the simulation model takes {', '.join(simulation_model.inputs)} and gives "
-                f"{', '.join(simulation_model.outputs)}, expected those of the design model: "
+                f"the simulation model takes {', '.join(first.inputs)} and gives "
+                f"{', '.join(first.outputs)}, expected those of the design model: "
                 f"{', '.join(model.inputs)} and {', '.join(model.outputs)}"
             )
         if capacity.shape != (len(commands),):
             raise AbraceError(f"{len(capacity)} force limits, expected one for each of {', '.join(commands)}")
-        plant = sampled(simulation_model, sample_period)
-        undriven = plant.select(inputs=[signals.GROUND])
-        free = [peak_rms_of(plant.outputs, simulate(undriven, each.ground_acceleration[:, None])) for each in records]
-        return cls(model, plant, records, tuple(free), capacity)
+        loops = FragilityStudy(
+            tuple(simulation_models),
+            (),
+            (),
+            Motions.of(record.ground_acceleration for record in records),
+            tuple(record.name for record in records),
+            tuple(float(each) for each in intensities),
+            tuple(interlocks),
+            sample_period,
+            implausibility,
+        )
+        free = [loop_extremes(sampled(each, sample_period), None, loops.motions) for each in loops.models]
+        count = len(first.outputs)
+        zero = np.stack([[each.peak[:, :count] for each in free], [each.rms[:, :count] for each in free]])
+        return cls(model, loops, tuple(faults), capacity, float(quantile), zero)
 
 
 @dataclass(frozen=True)
@@ -123,87 +166,133 @@ class Outcome:
     refused
         Why these weights give no controller; empty: they give one.
     margins
-        Of the loop with the simulation model.
+        Of the loop with the first simulation model.
     relative
-        Peak and rms of each response over those with zero command, mean of the records; without responses that are zero
-        with zero command (an ideal actuator's force).
+        Peak and rms of each response over those with zero command, mean over records and intensities, with the first
+        simulation model and intact sensors; without responses that are zero with zero command (an ideal actuator's
+        force).
+    robust
+        By kind of response (`signal_kind`) the quantile over all loops of its rms over that with zero command.
     command
-        Peak and rms of all commands in all records [N].
+        Peak and rms of all commands in all loops [N].
     saturated
-        Number of samples of all records at which a command was limited.
-    records
-        For each record peak and rms of the responses and commands [SI units].
+        Number of samples of all loops at which a command was limited.
+    loops, interlocked
+        Number of loops, and of those in which an interlock acted.
     """
 
     number: int
     weights: Weights
     refused: str = ""
     margins: Margins | None = None
-    relative: Mapping[str, PeakRms] | None = None
+    relative: Mapping[str, PeakRms] = field(default_factory=dict)
+    robust: Mapping[str, float] = field(default_factory=dict)
     command: PeakRms | None = None
     saturated: int = 0
-    records: tuple[Mapping[str, PeakRms], ...] = ()
+    loops: int = 0
+    interlocked: int = 0
 
     def response(self, kind: str) -> float:
         """Rms over that with zero command, mean over records and responses of a `kind` (as in `signal_kind`)."""
-        return float(np.mean([row.rms for name, row in (self.relative or {}).items() if signal_kind(name) == kind]))
+        return float(np.mean([row.rms for name, row in self.relative.items() if signal_kind(name) == kind]))
+
+    @property
+    def robust_response(self) -> float:
+        """By which sets are ranked: mean of the robust displacement and acceleration."""
+        return float(np.mean([self.robust[kind] for kind in RANKED if kind in self.robust]))
+
+
+def try_set(study: Study, number: int, weights: Weights) -> pyarrow.Table:
+    """Design with one set of weights, compute the margins, and run all loops.
+
+    Parameters
+    ----------
+    study
+        Models, records and limits.
+    number, weights
+        The set.
+
+    Returns
+    -------
+    pyarrow.Table
+        A row for each loop, as from `compute_batch`, with the set's number and margins; of a set that gives no
+        controller one row with the reason in `refused`.
+    """
+    try:
+        designed = design(study.model, weights, study.loops.sample_period)
+        found = margins(study.plant, designed.controller)
+        controller = Controller(
+            f"set {number}", designed.controller, designed.correction, designed.prediction, study.capacity, "", "", ""
+        )
+    except AbraceError as error:
+        return _with_columns(None, set=number, refused=str(error))
+    own = replace(study.loops, controllers=(controller,), faults=study.faults)
+    loops = compute_batch(own, [case for case in own.cases() if case.controller is not None])
+    return _with_columns(loops, set=number, refused="", **{name: getattr(found, name) for name in MARGINS})
+
+
+def _with_columns(table: pyarrow.Table | None, **values: float | str) -> pyarrow.Table:
+    """The `table` behind columns of one value each; None: one row of these alone."""
+    count = 1 if table is None else len(table)
+    found = pyarrow.table({name: [value] * count for name, value in values.items()})
+    for name, column in zip(table.column_names, table.columns, strict=True) if table is not None else ():
+        if name != "controller":  # it is the set
+            found = found.append_column(name, column)
+    return found
+
+
+def judged(study: Study, weights: Weights, rows: pyarrow.Table) -> Outcome:
+    """The outcome of a set.
+
+    Parameters
+    ----------
+    study
+        Models, records and limits.
+    weights
+        The set.
+    rows
+        As from `try_set`.
+    """
+    number, refused = rows["set"][0].as_py(), rows["refused"][0].as_py()
+    if refused:
+        return Outcome(number, weights, refused=refused)
+    outputs, commands = study.plant.outputs, study.plant.inputs[1:]
+    models, intensity = np.asarray(rows["model"]), np.asarray(rows["intensity"])
+    motions = np.array([study.loops.motion_names.index(name) for name in rows["motion"].to_pylist()])
+    intact = np.array([name == INTACT for name in rows["fault"].to_pylist()])
+    free = study.zero_command[:, models, motions] * intensity[:, None]
+    moving = [i for i in range(len(outputs)) if study.zero_command[1, :, :, i].all()]
+    ratio = {
+        outputs[i]: np.stack([_column(rows, what, outputs[i]) for what in PeakRms._fields]) / free[:, :, i]
+        for i in moving
+    }
+    own = intact & (models == 0)
+    kinds: dict[str, list[NDArray[np.float64]]] = {}
+    for name, (_, rms) in ratio.items():
+        kinds.setdefault(signal_kind(name), []).append(rms)
+    force = np.stack([_column(rows, "rms", name) for name in commands])
+    return Outcome(
+        number,
+        weights,
+        margins=Margins(**{name: rows[name][0].as_py() for name in MARGINS}),
+        relative={name: PeakRms(*values[:, own].mean(axis=1).tolist()) for name, values in ratio.items()},
+        robust={
+            kind: float(np.quantile(np.mean(values, axis=0), study.quantile, method="inverted_cdf"))
+            for kind, values in kinds.items()
+        },
+        command=PeakRms(
+            float(max(_column(rows, "peak", name).max() for name in commands)), float(np.sqrt(np.mean(force**2)))
+        ),
+        saturated=int(np.asarray(rows["saturated"]).sum()),
+        loops=len(rows),
+        interlocked=int(np.isfinite(np.asarray(rows["trip_time"])).sum()),
+    )
+
+
+def _column(rows: pyarrow.Table, what: str, name: str) -> NDArray[np.float64]:
+    return np.asarray(rows[f"{what}_{name}"])
 
 
 def evaluate(study: Study, number: int, weights: Weights) -> Outcome:
-    """Design with one set of weights, compute the margins, and simulate the loop under every record.
-
-    Parameters
-    ----------
-    study
-        Models and records.
-    number, weights
-        The set.
-    """
-    plant = study.plant
-    try:
-        designed = design(study.model, weights, plant.sample_period)
-        found = margins(plant, designed.controller)
-    except AbraceError as error:
-        return Outcome(number, weights, refused=str(error))
-    loops = loop_extremes(plant, designed.controller, study.motions, study.capacity, designed.correction)
-    tables = [
-        {name: PeakRms(float(p), float(r)) for name, p, r in zip(loops.names, peak, rms, strict=True)}
-        for peak, rms in zip(loops.peak, loops.rms, strict=True)
-    ]
-    return judged(study, number, weights, found, tables, int(loops.saturated.sum()))
-
-
-def judged(
-    study: Study,
-    number: int,
-    weights: Weights,
-    found: Margins,
-    tables: Sequence[Mapping[str, PeakRms]],
-    saturated: int,
-) -> Outcome:
-    """The outcome of a set that gives a controller.
-
-    Parameters
-    ----------
-    study
-        Models and records.
-    number, weights
-        The set.
-    found
-        Its margins.
-    tables
-        For each record peak and rms of the responses and commands [SI units].
-    saturated
-        Samples of all records at which a command was limited.
-    """
-    moving = [name for name in study.plant.outputs if all(free[name].rms > 0 for free in study.zero_command)]
-    relative = {name: _mean_ratio(name, tables, study.zero_command) for name in moving}
-    forces = [table[name] for table in tables for name in study.plant.inputs[1:]]
-    command = PeakRms(max(row.peak for row in forces), float(np.sqrt(np.mean([row.rms**2 for row in forces]))))
-    return Outcome(number, weights, "", found, relative, command, saturated, tuple(tables))
-
-
-def _mean_ratio(name: str, tables: Sequence[Mapping[str, PeakRms]], free: Sequence[Mapping[str, PeakRms]]) -> PeakRms:
-    ratios = [np.array(table[name]) / np.array(without[name]) for table, without in zip(tables, free, strict=True)]
-    peak, rms = np.mean(ratios, axis=0)
-    return PeakRms(float(peak), float(rms))
+    """The outcome of the set `weights` with this `number` in a `study`, all its loops run here."""
+    return judged(study, weights, try_set(study, number, weights))

@@ -16,8 +16,8 @@ from abrace_core.drawing import save_figure
 from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.tables import data_frame
-from abrace_lqg.exploration.parts import read_parts
-from abrace_lqg.exploration.run import compute_missing
+from abrace_lqg.batches.missing import compute_missing
+from abrace_lqg.batches.parts import read_parts
 from abrace_lqg.fragility.curves import fragility_curve
 from abrace_lqg.fragility.figures import FIGURES, Subject
 from abrace_lqg.fragility.loops import compute_batch
@@ -97,7 +97,8 @@ class Fragility:
             name = row["controller"] + (f", {row['fault']}" if row["fault"] != INTACT else "")
             limit = f"{row['quantity']} above {row['limit']:g} {unit(row['quantity'])}"
             if np.isfinite(row["median"]):
-                found = f"median {row['median']:.3g} m/s^2 ({row['low']:.3g} to {row['high']:.3g})"
+                end = "or more" if np.isinf(row["high"]) else f"to {row['high']:.3g}"
+                found = f"median {row['median']:.3g} m/s^2 ({row['low']:.3g} {end})"
                 lines.append(f"{name}: {limit}: {found}, dispersion {row['dispersion']:.2f}")
             else:
                 share = row["exceeded"] / row["loops"]

@@ -4,7 +4,8 @@
 P(exceeded | im) = Phi(ln(im / median) / dispersion), fitted by maximum likelihood to how many of the loops at each
 intensity exceed the limit (Baker 2015, Earthquake Spectra 31(1)). The loops of one ground motion are no independent
 observations: many models and all intensities share it. So the confidence bands come from a bootstrap of the motions,
-whose loops are drawn together.
+whose loops are drawn together. A resample in which no loop exceeds the limit has an infinite median, and one in which
+all do has a median of 0. They count like the others, so an end of the median's interval can be infinite or 0.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ class FragilityCurve:
         Intensity at which half of them exceed it [m/s^2], and standard deviation of its logarithm; not numbers where no
         loop exceeds the limit, or all do.
     resampled
-        (resamples, 2) medians and dispersions of the bootstrap, for the bands; empty with one motion.
+        (resamples, 2) medians and dispersions of the bootstrap, for the bands; empty with one motion. A median is
+        infinite where no loop of a resample exceeds the limit, 0 where all do; the dispersion has no meaning there.
     """
 
     intensity: NDArray[np.float64]
@@ -71,13 +73,18 @@ class FragilityCurve:
     def band(self, intensity: NDArray[np.float64]) -> NDArray[np.float64]:
         """(2, intensities) ends of the probability's confidence interval, at each `intensity` [m/s^2]."""
         medians, dispersions = self.resampled.T[:, :, None]
-        return np.quantile(ndtr(np.log(intensity / medians) / dispersions), _ends(), axis=0)
+        with np.errstate(divide="ignore"):  # a median of 0: the probability is 1
+            logarithms = np.log(medians)
+        return np.quantile(ndtr((np.log(intensity) - logarithms) / dispersions), _ends(), axis=0)
 
     def median_interval(self) -> tuple[float, float]:
-        """Lower and upper end of the median's confidence interval; not numbers without a bootstrap."""
+        """Lower and upper end of the median's confidence interval; not numbers without a bootstrap.
+
+        An end is infinite, or 0, where it falls among resamples in which no loop, or every loop, exceeds the limit.
+        """
         if not len(self.resampled):
             return np.nan, np.nan
-        low, high = np.quantile(self.resampled[:, 0], _ends())
+        low, high = np.quantile(self.resampled[:, 0], _ends(), method="inverted_cdf")  # never between inf and a number
         return float(low), float(high)
 
 
@@ -110,15 +117,20 @@ def fragility_curve(
     all_loops, all_exceeded = loops.sum(axis=0), exceeded.sum(axis=0)
     median, dispersion = _fits(intensity, all_loops[None], all_exceeded[None])[0]
     resampled = np.zeros((0, 2))
-    if motions > 1 and np.isfinite(median):
+    if not all_exceeded.any() or np.array_equal(all_exceeded, all_loops):
+        median = dispersion = np.nan
+    elif motions > 1:
         drawn = np.random.default_rng(seed).multinomial(motions, np.full(motions, 1 / motions), RESAMPLES)
-        fits = _fits(intensity, drawn @ loops, drawn @ exceeded)
-        resampled = fits[np.isfinite(fits).all(axis=1)]
+        drawn = drawn[(drawn @ loops).any(axis=1)]
+        resampled = _fits(intensity, drawn @ loops, drawn @ exceeded)
     return FragilityCurve(intensity, all_loops, all_exceeded, float(median), float(dispersion), resampled)
 
 
 def _fits(intensity: NDArray[np.float64], loops: NDArray, exceeded: NDArray) -> NDArray[np.float64]:
-    """(rows, 2) medians and dispersions of greatest likelihood for rows of counts (rows, intensities)."""
+    """(rows, 2) medians and dispersions of greatest likelihood for rows of counts (rows, intensities).
+
+    The median is infinite where no loop exceeds the limit, and 0 where all do.
+    """
     x = np.log(intensity)
     medians = np.linspace(x[0] - np.log(BEYOND), x[-1] + np.log(BEYOND), GRID[0])
     dispersions = np.geomspace(*DISPERSIONS, GRID[1])
@@ -136,7 +148,8 @@ def _fits(intensity: NDArray[np.float64], loops: NDArray, exceeded: NDArray) -> 
             break
     found[:, 0] = np.exp(found[:, 0])
     total, of_all = exceeded.sum(axis=1), loops.sum(axis=1)
-    found[(total == 0) | (total == of_all)] = np.nan
+    found[total == of_all] = 0.0, DISPERSIONS[0]
+    found[total == 0] = np.inf, DISPERSIONS[0]
     return found
 
 

@@ -77,9 +77,12 @@ def fragility_figure(subjects: Sequence[Subject], limits: Mapping[str, float]) -
 
 
 def trade_off_figure(subjects: Sequence[Subject], limits: Mapping[str, float]) -> Figure:
-    """For each of the `limits` the median of the intact `subjects` over the rms of their commands."""
+    """For each of the `limits` the median of the intact `subjects` over the rms of their commands.
+
+    An arrow to the upper edge is an interval without an upper end.
+    """
     figure, axes = _axes(len(limits))
-    colours = _colours(subjects)
+    colours, unbounded = _colours(subjects), False
     for axis, (name, limit) in zip(axes, limits.items(), strict=True):
         for subject in _intact(subjects):
             curve = subject.curves[name]
@@ -87,13 +90,20 @@ def trade_off_figure(subjects: Sequence[Subject], limits: Mapping[str, float]) -
                 continue
             low, high = curve.median_interval()
             force = subject.force[len(subject.force) // 2] / 1e3
-            reach = [[max(curve.median - low, 0.0)], [max(high - curve.median, 0.0)]] if np.isfinite(low) else None
+            colour = colours[subject.controller]
+            top = curve.median if np.isinf(high) else high
+            reach = None if np.isnan(low) else [[max(curve.median - low, 0.0)], [max(top - curve.median, 0.0)]]
+            if np.isinf(high):
+                unbounded = True
+                arrow = {"arrowstyle": "->", "color": colour, "shrinkA": 0, "shrinkB": 0}
+                axis.margins(y=0.2)
+                axis.annotate("", (force, 1.0), (force, curve.median), ("data", "axes fraction"), "data", arrow)
             axis.errorbar(
                 force,
                 curve.median,
                 reach,
                 fmt="o",
-                color=colours[subject.controller],
+                color=colour,
                 capsize=3,
                 label=subject.controller,
             )
@@ -103,7 +113,9 @@ def trade_off_figure(subjects: Sequence[Subject], limits: Mapping[str, float]) -
     axes[0].set_ylabel("median intensity (m/s²)")
     middle = next(iter(subjects[0].curves.values())).intensity[len(subjects[0].force) // 2]
     return captioned(
-        figure, f"Intensity at which half the loops exceed the limit, against the command's rms at {middle:.3g} m/s²"
+        figure,
+        f"Intensity at which half the loops exceed the limit, against the command's rms at {middle:.3g} m/s²"
+        + ("; arrows: no upper end" if unbounded else ""),
     )
 
 

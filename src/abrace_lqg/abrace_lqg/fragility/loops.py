@@ -3,8 +3,9 @@
 
 Without saturation a loop is linear: it is run through once for each motion, and its results are scaled to every
 intensity. Only where that would ask for more than a controller's force limit is the saturating loop run, and only where
-an interlock's limit is passed is it looked at sample by sample: the first sample at which the limit has been exceeded
-for its time ramps the command to zero. All three give the samples of `abrace_core.simulation`, to rounding.
+an interlock's limit is passed, or a sensor fails, is it looked at sample by sample: the first sample at which a limit
+has been exceeded for its time ramps the command to zero. Interlocks see what sensors read, failing ones included. All
+three give the samples of `abrace_core.simulation`, to rounding.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from abrace_core.loop_extremes import loop_extremes
 from abrace_core.response import peak_rms_of
 from abrace_core.safety.rig_safety import RAMP_TIME
 from abrace_core.simulation import simulate, simulate_closed_loop
-from abrace_lqg.fragility.study import INTACT, ZERO_COMMAND
+from abrace_lqg.fragility.study import INTACT, STUCK, ZERO_COMMAND
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -120,15 +121,21 @@ def _trip(study: FragilityStudy, plant: LinearModel, controller: Controller, cas
     """Run the loops anew in which an interlock acts, with the command ramped to zero from there on."""
     if not study.interlocks:
         return
-    rows = [plant.outputs.index(each.quantity) for each in study.interlocks]
-    limits = np.array([each.value for each in study.interlocks])
-    for motion, level in np.argwhere((found.peak[..., rows] > limits).any(axis=2)):
+    fault = None if case.fault is None else study.faults[case.fault]
+    limits = {each.quantity: each.value for each in study.interlocks}
+    over = [found.peak[..., i] > limits[name] for i, name in enumerate(plant.outputs) if name in limits]
+    suspects = np.any(over, axis=0) if fault is None and over else np.full(found.saturated.shape, fault is not None)
+    for motion, level in np.argwhere(suspects):
         number = case.first + motion
         ground = study.motions.ground[number, : study.motions.samples[number]] * study.intensities[level]
         outputs, commands = simulate_closed_loop(
             plant, controller.law, ground, controller.force_limit, controller.correction
         )
-        trips = [_first_trip(outputs[:, row], each) for row, each in zip(rows, study.interlocks, strict=True)]
+        watched = _watched(study, plant, outputs, fault)
+        trips = [
+            _first_trip(watched[each.quantity], each) if each.quantity in watched else len(ground)
+            for each in study.interlocks
+        ]
         sample = min(trips)
         if sample >= len(ground):
             continue
@@ -141,9 +148,33 @@ def _trip(study: FragilityStudy, plant: LinearModel, controller: Controller, cas
         found.trip_time[motion, level] = sample * plant.sample_period
 
 
+def _watched(
+    study: FragilityStudy, plant: LinearModel, outputs: NDArray[np.float64], fault: Fault | None
+) -> dict[str, NDArray[np.float64]]:
+    """What interlocks see of the `outputs` (samples, outputs), by quantity; intact sensors fit each other."""
+    seen = dict(zip(plant.outputs, outputs.T, strict=True))
+    if fault is None:
+        return seen
+    error = (fault.factor - 1.0) * seen[fault.sensor]
+    seen[fault.sensor] = seen[fault.sensor] + error
+    seen[STUCK] = np.full(len(error), float(fault.factor == 0.0))
+    if fault.sensor[0] == "x" and fault.sensor[1:].isdigit():
+        storey = int(fault.sensor[1:])
+        for drift, sign in ((f"d{storey}", 1.0), (f"d{storey + 1}", -1.0)):
+            if drift in seen:
+                seen[drift] = seen[drift] + sign * error
+    if study.implausibility and fault.sensor in study.implausibility.inputs:
+        compared = study.implausibility.select(inputs=[fault.sensor])
+        seen |= dict(zip(compared.outputs, simulate(compared, error[:, None]).T, strict=True))
+    return seen
+
+
 def _first_trip(values: NDArray[np.float64], interlock: Interlock) -> int:
     """The first sample at which a limit has been exceeded for its time; the number of samples if there is none."""
     over = np.abs(values) > interlock.value
+    over[: interlock.settling] = False
+    if not over.any():
+        return len(values)
     ended = np.flatnonzero(np.convolve(over, np.ones(interlock.samples))[: len(over)] > interlock.samples - 0.5)
     return int(ended[0]) if len(ended) else len(values)
 

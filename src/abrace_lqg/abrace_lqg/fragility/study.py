@@ -17,15 +17,22 @@ import numpy as np
 from abrace_core import signals
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import takes_models
+from abrace_core.model_ensemble import draw_models
 from abrace_lqg.loop import sampled
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
     from abrace_core.controller_file import Controller
     from abrace_core.linear_model import LinearModel
     from abrace_core.loop_extremes import Motions
 
 ZERO_COMMAND = "zero command"
 INTACT = "none"
+STUCK = "stuck"
+"""Quantity of an interlock: 1 where the failing sensor repeats its reading, as a dead one does, else 0."""
 BATCH_STEPS = 50_000_000
 """Steps of a batch, at most unless one case has more: a second or two of work."""
 
@@ -58,16 +65,20 @@ class Interlock:
     Parameters
     ----------
     quantity
-        An output of the models.
+        An output of the models as its sensor reads it, a drift of such readings, an output of the study's
+        `implausibility`, or STUCK.
     value
         Its limit [SI unit].
     samples
         For which it has to be exceeded without a break.
+    settling
+        Samples from the start on in which it does not act.
     """
 
     quantity: str
     value: float
     samples: int
+    settling: int = 0
 
 
 class Case(NamedTuple):
@@ -102,6 +113,9 @@ class FragilityStudy:
         Of controlled loops; the zero command needs none.
     sample_period
         [s] of controllers and motions.
+    implausibility
+        Discrete, from the errors of readings to the quantities by which interlocks compare sensors with each other;
+        None: none is compared.
 
     Raises
     ------
@@ -117,6 +131,7 @@ class FragilityStudy:
     intensities: tuple[float, ...]
     interlocks: tuple[Interlock, ...]
     sample_period: float
+    implausibility: LinearModel | None = None
 
     def __post_init__(self) -> None:
         if not self.models or not self.motion_names:
@@ -148,6 +163,14 @@ class FragilityStudy:
             if fault.sensor not in measured:
                 known = ", ".join(sorted(measured)) or "none, as there is no controller"
                 raise AbraceError(f"fault {fault.name}: no controller measures {fault.sensor}, expected one of {known}")
+        outputs = with_drifts(model).outputs
+        compared = self.implausibility.outputs if self.implausibility else ()
+        for interlock in self.interlocks:
+            if interlock.quantity not in (*outputs, *compared, STUCK):
+                raise AbraceError(
+                    f"interlock {interlock.quantity}: the model has no such quantity, "
+                    f"expected one of {', '.join(outputs)}"
+                )
 
     def plant(self, number: int) -> LinearModel:
         """The model with this `number` at the sample period, with the drift of every storey among its outputs."""
@@ -205,6 +228,65 @@ def with_drifts(model: LinearModel) -> LinearModel:
         d=np.vstack([model.d, between @ model.d[rows]]),
         outputs=(*model.outputs, *names),
     )
+
+
+@takes_models
+def ensemble(
+    model: LinearModel, covariance: NDArray[np.float64] | None, count: int, seed: int, source: str
+) -> tuple[LinearModel, ...]:
+    """A model, and others drawn from the covariance of its parameters.
+
+    Parameters
+    ----------
+    model, covariance
+        As `identify` writes them; None: it is not known.
+    count
+        Of models, `model` itself included.
+    seed
+        Of the draws.
+    source
+        Where the model came from, for messages.
+
+    Raises
+    ------
+    AbraceError
+        If models are to be drawn without a covariance, or as `draw_models`.
+    """
+    if count < 1:
+        raise AbraceError(f"models {count}: expected 1 (the model alone) or more")
+    if count == 1:
+        return (model,)
+    if covariance is None:
+        raise AbraceError(
+            f"models {count}: {source} has no covariance to draw models from, expected 1, or one of identify"
+        )
+    return (model, *draw_models(model, covariance, count - 1, seed))
+
+
+def named_numbers(what: str, texts: Sequence[str]) -> dict[str, list[float]]:
+    """Numbers by name from `texts` such as a1=0, which give `what`.
+
+    >>> named_numbers("fault", ["a1=0", "a3=-1", "a1=1.2"])
+    {'a1': [0.0, 1.2], 'a3': [-1.0]}
+
+    Raises
+    ------
+    AbraceError
+        If a text is not NAME=NUMBER.
+    """
+    found: dict[str, list[float]] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            found.setdefault(name, []).append(float(value))
+        except ValueError as error:
+            raise AbraceError(f"{what} {text}: expected NAME=NUMBER, such as a1=0") from error
+    return found
+
+
+def faults_of(given: Mapping[str, float | Sequence[float]]) -> tuple[Fault, ...]:
+    """The faults that were `given`: factors by sensor."""
+    return tuple(Fault(name, float(factor)) for name, factors in given.items() for factor in np.atleast_1d(factors))
 
 
 def unit(name: str) -> str:

@@ -7,8 +7,9 @@ abrace run abrace_lqg design --ros-args -p model:=model/reduced.json -p weights:
 from __future__ import annotations
 
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import load_model
 from abrace_core.node import AbraceNode, Parameter, find_file, run
-from abrace_lqg.analysis.prediction import Excitation
+from abrace_lqg.of_model import excitation_of, force_limit_of, sample_period_of
 from abrace_lqg.proof.files import DRAWS
 from abrace_lqg.proof.limits import OBJECTIONS, Limits
 from abrace_lqg.proof.proven_design import design_to_file
@@ -28,8 +29,14 @@ PARAMETERS = [
         "check_models", [], "further model files to check the closed loop with, such as the rig's own", element=str
     ),
     Parameter("weights", "lqg3", "weights: a name in the package's configuration or a file", required=True),
-    Parameter("sample_period", 0.002, "s, sample period of the controller", minimum=1e-6),
-    Parameter("force_limit", [24516.625], "N, greatest force of one brace of each group", minimum=1.0),
+    Parameter("sample_period", 0.0, "s, sample period of the controller; 0: that of the model's tests", minimum=0.0),
+    Parameter(
+        "force_limit",
+        [],
+        "N, greatest force of one brace of each group; []: as the model's file says",
+        element=float,
+        minimum=1.0,
+    ),
     *(Parameter(name, getattr(Limits(), name), text, minimum=0.0) for name, text in LIMITS.items()),
     Parameter("accept", [], "limits that the controller may violate, by name", choices=OBJECTIONS, element=str),
     Parameter("draws", DRAWS, "models drawn from the covariance of each model that has one; 0: none", minimum=0),
@@ -37,7 +44,13 @@ PARAMETERS = [
     Parameter(
         "excitation_rms", 0.25, "m/s^2, rms of the ground acceleration for the predicted responses", minimum=1e-9
     ),
-    Parameter("excitation_band", [0.3, 10.0], "Hz, lowest and highest frequency of this excitation", minimum=0.0),
+    Parameter(
+        "excitation_band",
+        [],
+        "Hz, lowest and highest frequency of this excitation; empty: 0.3 to 10 Hz, or wider around the slowest mode",
+        element=float,
+        minimum=0.0,
+    ),
     Parameter("output", "", "controller file (YAML) to write; the proof's files go to its folder", required=True),
 ]
 
@@ -53,17 +66,16 @@ class Design(AbraceNode):
         given = self.parameters
         if not given.output.endswith(".yaml"):
             raise AbraceError(f"parameter output: {given.output}, expected a file name that ends in .yaml")
-        if len(given.excitation_band) != 2:
-            raise AbraceError(f"parameter excitation_band: {given.excitation_band}, expected two frequencies")
         weights_file = find_file(given.weights, "abrace_lqg", "config", ".yaml", "weights")
+        weights, model = load_weights(weights_file), load_model(given.model)
         proof, controller, written = design_to_file(
             [given.model, *given.check_models],
             given.output,
-            weights=load_weights(weights_file),
+            weights=weights,
             weights_name=weights_file.name,
-            sample_period=given.sample_period,
-            force_limit=given.force_limit,
-            excitation=Excitation(given.excitation_rms, tuple(given.excitation_band)),
+            sample_period=sample_period_of(model, given.sample_period),
+            force_limit=force_limit_of(model, given.force_limit),
+            excitation=excitation_of(model, given.excitation_rms, given.excitation_band),
             limits=Limits(**{name: getattr(given, name) for name in LIMITS}),
             accept=given.accept,
             draws=given.draws,

@@ -19,14 +19,16 @@ from abrace_lqg.analysis.disk_margin import DiskMargin, disk_margin
 from abrace_lqg.analysis.lost_samples import LostSamples, lost_samples
 from abrace_lqg.analysis.margins import Margins, margins_at
 from abrace_lqg.analysis.mode_damping import ModeEffect, mode_effects
-from abrace_lqg.analysis.prediction import Excitation, rms_without_and_with_control
+from abrace_lqg.analysis.prediction import rms_without_and_with_control
 from abrace_lqg.loop import closed_loop_poles, is_stable
+from abrace_lqg.of_model import excitation_of
 from abrace_lqg.proof.limits import WORDING, Limits, Objection, shortfall
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
     from abrace_core.linear_model import LinearModel
+    from abrace_lqg.analysis.prediction import Excitation
     from abrace_lqg.design import ControllerDesign
 
 LOST_IN_A_ROW = (1, 2)
@@ -228,7 +230,7 @@ def prove(
     models
         By name: first the model that it was designed with, then the check models.
     excitation
-        For which rms values are predicted; None: `Excitation()`.
+        For which rms values are predicted; None: `excitation_of` the first model.
     limits
         What the controller has to keep; None: `Limits()`.
     ensembles
@@ -239,8 +241,8 @@ def prove(
     AbraceError
         If a model lacks a signal of the controller, or the loop with the first model is not stable.
     """
-    excitation = excitation or Excitation()
     design_model = next(iter(models.values()))
+    excitation = excitation or excitation_of(design_model)
     proofs = []
     for name, model in models.items():
         try:
@@ -308,11 +310,14 @@ def _prove_ensemble(
     found = [margins_at(model, controller, controller.outputs) for model in stable]
     modes = [mode for model in stable for mode in mode_effects(model, controller, design_model)]
     least = min(modes, key=lambda mode: mode.damping_kept, default=None)
+    disk = np.inf
+    for model in stable:
+        disk = min(disk, disk_margin(model, controller, below=disk).alpha)
     return EnsembleProof(
         count=len(models),
         unstable=len(models) - len(stable),
         margins={name: Margins.least([one[name] for one in found]) for name in controller.outputs if found},
-        disk_margin=min((disk_margin(model, controller).alpha for model in stable), default=np.inf),
+        disk_margin=disk,
         damping_kept=np.inf if least is None else least.damping_kept,
         at=0.0 if least is None else least.frequency,
     )

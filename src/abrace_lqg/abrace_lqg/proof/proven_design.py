@@ -15,8 +15,8 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import load_covariance, takes_models
 from abrace_core.model_ensemble import draw_models
 from abrace_core.tables import data_frame
-from abrace_lqg.analysis.prediction import Excitation
 from abrace_lqg.design import design
+from abrace_lqg.of_model import excitation_of
 from abrace_lqg.proof.checks import prove, require
 from abrace_lqg.proof.figures import loop_figure, pole_figure, prediction_figure
 from abrace_lqg.proof.files import DRAWS, distrusted, load_models, save_proof
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_core.linear_model import LinearModel
+    from abrace_lqg.analysis.prediction import Excitation
     from abrace_lqg.proof.checks import Proof
     from abrace_lqg.proof.limits import Limits
     from abrace_lqg.weights import Weights
@@ -143,7 +144,7 @@ def proven_design(
     origin
         Of the model to design with; empty: its name.
     excitation
-        For which rms values are predicted; None: `Excitation()`.
+        For which rms values are predicted; None: `excitation_of` the model.
     limits
         Limits for the controller; None: `Limits()`.
     accept
@@ -161,7 +162,7 @@ def proven_design(
         As in `design` and `prove`, or with the objections that are not accepted.
     """
     name, model = next(iter(models.items()))
-    weights = scaled_weights(model, weights, sample_period, force_limit, excitation or Excitation())
+    weights = scaled_weights(model, weights, sample_period, force_limit, excitation or excitation_of(model))
     designed = design(model, weights, sample_period)
     ensembles = {}
     for known, covariance in (covariances or {}).items() if draws else ():
@@ -198,6 +199,7 @@ def design_to_file(
     accept: Sequence[str] = (),
     draws: int = DRAWS,
     draw_seed: int = 0,
+    distrust: Sequence[str] = (),
 ) -> tuple[Proof, Controller, list[Path]]:
     """Design a controller, prove it, and write it with its proof; nothing is written if the design is refused.
 
@@ -210,6 +212,8 @@ def design_to_file(
         The controller file NAME.yaml.
     weights, weights_name, sample_period, force_limit, excitation, limits, accept, draws, draw_seed
         As in `proven_design`.
+    distrust
+        Such objections that are known from elsewhere.
 
     Returns
     -------
@@ -231,7 +235,7 @@ def design_to_file(
         covariances={name: covariance for name, covariance in known.items() if covariance is not None},
         draws=draws,
         draw_seed=draw_seed,
-        distrust=distrusted(model_files),
+        distrust=[*distrusted(model_files), *distrust],
     )
     written = proven.save(output)
     return proven.proof, replace(proven.controller, name=Path(output).stem), written

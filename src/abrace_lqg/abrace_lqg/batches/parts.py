@@ -22,7 +22,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.files import write_atomically
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 INPUTS = b"abrace_inputs"
 """Key of the checksum among a file's metadata."""
@@ -71,9 +71,14 @@ class Parts:
         with write_atomically(self.path(number)) as temporary:
             parquet.write_table(named, temporary, compression="zstd", compression_level=1, use_dictionary=_words(named))
 
+    def clean(self) -> None:
+        """Remove half-written files, which processes that were killed have left."""
+        for path in self.folder.glob(f".*.{PATTERN}"):
+            path.unlink(missing_ok=True)
 
-def read_parts(folder: Path | str, columns: Sequence[str] | None = None) -> pyarrow.Table:
-    """All rows of a folder of parts, in the order of the batches.
+
+def each_part(folder: Path | str, columns: Sequence[str] | None = None) -> Iterator[pyarrow.Table]:
+    """The tables of a folder of parts, one after the other, in the order of the batches.
 
     Parameters
     ----------
@@ -85,15 +90,21 @@ def read_parts(folder: Path | str, columns: Sequence[str] | None = None) -> pyar
     Raises
     ------
     AbraceError
-        If the folder has no parts, or they have no such columns.
+        If the folder has no parts, or one cannot be read.
     """
     paths = sorted(Path(folder).glob(PATTERN))
     if not paths:
         raise AbraceError(f"{folder}: no {PATTERN}, expected the folder of finished batches")
-    try:
-        return pyarrow.concat_tables(parquet.read_table(path, columns=columns) for path in paths).unify_dictionaries()
-    except (OSError, pyarrow.ArrowException) as error:
-        raise AbraceError(f"{folder}: {error}, expected finished batches of one computation") from error
+    for path in paths:
+        try:
+            yield parquet.read_table(path, columns=columns)
+        except (OSError, pyarrow.ArrowException) as error:
+            raise AbraceError(f"{path}: {error}, expected finished batches of one computation") from error
+
+
+def read_parts(folder: Path | str, columns: Sequence[str] | None = None) -> pyarrow.Table:
+    """All rows of a `folder` of parts in the order of the batches, of all `columns` or some; else as `each_part`."""
+    return pyarrow.concat_tables(each_part(folder, columns), promote_options="default").unify_dictionaries()
 
 
 def checksum(*inputs: Any) -> str:
