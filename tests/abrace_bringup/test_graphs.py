@@ -119,6 +119,22 @@ def test_the_table_is_that_of_the_rig_and_its_noise_does_not_begin_at_0_hz(tmp_p
     assert found["ground_motion"].parameters["band"] == [0.1, 10.0]
 
 
+def test_an_identification_test_fits_the_rig(tmp_path):
+    found = nodes(IDENTIFICATION, identification, tmp_path, drive="command", rig="five_storey")["excitation"].parameters
+    assert (found["force_limit"], found["rms"], found["sample_rate"]) == ([5e4, 1e5], [3500.0, 7000.0], 500.0)
+    slow = nodes(CLOSED_LOOP, closed_loop, tmp_path, controller="my_laws/own", rig="sac_la_20")
+    assert slow["ground_motion"].parameters["sample_rate"] == 100.0
+    given = {"table_rms": "0.1", "table_band": "[0.2, 25.0]", "command_rms": "900,0", "command_band": "0.5,40"}
+    found = nodes(IDENTIFICATION, identification, tmp_path, drive="both", rig="five_storey", **given)
+    assert [found["ground_motion"].parameters[name] for name in ("rms", "band")] == [0.1, [0.2, 25.0]]
+    assert [found["excitation"].parameters[name] for name in ("rms", "band")] == [[900.0, 0.0], [0.5, 40.0]]
+    for wrong in ("10,1", "3", "a,b", "1,2,3"):
+        with pytest.raises(AbraceError, match=f"table_band:={wrong}, expected two frequencies in Hz"):
+            nodes(IDENTIFICATION, identification, tmp_path, drive="table", table_band=wrong)
+    with pytest.raises(AbraceError, match=r"rig 'seven': unknown, expected a file .* or one of .*five_storey"):
+        nodes(IDENTIFICATION, identification, tmp_path, drive="table", rig="seven")
+
+
 def test_multisines_do_not_begin_at_0_hz_and_both_have_lines_of_their_own(tmp_path):
     found = nodes(IDENTIFICATION, identification, tmp_path, drive="both")
     assert found["ground_motion"].parameters["record"] == found["excitation"].parameters["signal"] == "multisine"

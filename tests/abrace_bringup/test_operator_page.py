@@ -338,6 +338,22 @@ def test_a_page_of_somebody_elses_can_neither_look_nor_press(server):
     assert server.desk.asked == []
 
 
+def test_of_a_page_that_was_given_up_only_a_stop_is_still_heard(server):
+    async def page() -> None:
+        socket = await connected(server)
+        assert "hello" in json.loads(await socket.read_message())
+        (own,) = server.pages
+        server.forget(own)
+        for message in ({"got": 1}, {"do": "release"}, {"do": "stop"}):
+            await socket.write_message(json.dumps(message))
+        while not server.desk.asked:
+            await asyncio.sleep(0.01)
+
+    asyncio.run(asyncio.wait_for(page(), 30))
+    assert server.desk.asked == [("stop", "")]
+    assert not server.desk.pages
+
+
 def test_a_page_gets_frames_as_fast_as_it_answers_and_what_it_presses_arrives(server):
     async def page() -> None:
         socket = await connected(server)

@@ -17,6 +17,8 @@ POLICY = ROOT / "src/abrace_bringup/config/security_policy.xml"
 SCRIPT = ROOT / "src/abrace_bringup/scripts/make_keystore"
 RIGS = {"plant", "sensor_bridge"}
 COMMANDERS = {"controller", "excitation"}
+STOPPERS = {"operator", "operating_viewer"}
+"""A person's: the viewer's is for one with `operate:=true` alone."""
 DRIVEN = sorted(RIGS | COMMANDERS | {"ground_motion"})
 
 
@@ -62,19 +64,31 @@ def test_only_those_write_a_topic_who_have_to(name, allowed):
     assert not who("publish", f"/{name}") or name == "emergency_stop"
 
 
-def test_only_operators_stop_the_whole_laboratory():
-    assert who("publish", "/emergency_stop") == {"operator"}
+def test_only_operators_stop_the_whole_laboratory_and_viewers_that_may_operate():
+    assert who("publish", "/emergency_stop") == STOPPERS
     assert who("subscribe", "/emergency_stop") >= RIGS
     assert who("subscribe", "/rig/emergency_stop") >= RIGS
 
 
 @pytest.mark.parametrize("node", DRIVEN)
 def test_only_operators_clear_faults_and_change_parameters_and_only_the_supervisor_changes_states_too(node):
-    for service in ("clear_fault", "set_parameters", "set_parameters_atomically"):
-        assert who("request", f"/rig/{node}/{service}") == {"operator"}
+    for service in ("clear_fault", "set_parameters"):
+        assert who("request", f"/rig/{node}/{service}") == STOPPERS
+    assert who("request", f"/rig/{node}/set_parameters_atomically") == {"operator"}
     assert who("request", f"/rig/{node}/change_state") == {"operator", "supervisor"}
     for service in ("clear_fault", "change_state", "set_parameters"):
         assert who("reply", f"/rig/{node}/{service}") == {node}, "nobody answers in another's place"
+
+
+def test_a_viewer_that_does_not_operate_changes_nothing_and_one_that_does_can_do_all_that_it_shows():
+    policy = read_policy(POLICY)
+    looking, operating = (set(policy[f"/abrace/{name}"]) for name in ("viewer", "operating_viewer"))
+    assert looking < operating
+    outward = {(act, name) for act, name in looking if act in ("publish", "request", "call", "execute")}
+    readings = ("get_state", "list_parameters", "get_parameters", "describe_parameters")
+    assert {name.rpartition("/")[2] for act, name in outward if act == "request"} == set(readings)
+    reports = {"/rosout", "/parameter_events", "/diagnostics", "/rig/markers"}
+    assert {name for act, name in outward if act != "request"} == reports
 
 
 def test_only_operators_start_motions():

@@ -11,19 +11,25 @@ import numpy as np
 import pytest
 import yaml
 from bag_of_run import write_bag
+from rclpy.serialization import serialize_message
+from visualization_msgs.msg import Marker
 
 from abrace import simulate
-from abrace_bags.definitions import message_definition, parse_message_type
 from abrace_bags.raw import read_raw
+from abrace_bringup.enlarged_description import enlarged
+from abrace_bringup.nodes.markers import marker_array
 from abrace_bringup.viewing.bag_source import BagSource
-from abrace_bringup.viewing.decimation import extremes
-from abrace_bringup.viewing.layout import layout
+from abrace_bringup.viewing.decimation import extremes, greatest
+from abrace_bringup.viewing.display import Display
+from abrace_bringup.viewing.layout import layout, plotjuggler_layout
 from abrace_bringup.viewing.named_channels import RESPONSE_TYPE, ResponseReader, message, names_of, schema
-from abrace_bringup.viewing.scene import Scene, colour
-from abrace_bringup.viewing.server import CHANNELS, DESCRIPTION, SCENE
+from abrace_bringup.viewing.scene import Scene, colour, scene_update
+from abrace_bringup.viewing.server import CHANNELS, DESCRIPTION, FRAMES, SCENE
 from abrace_core.errors import AbraceError
 from abrace_core.table_signals import table_noise
+from abrace_interfaces.msg import Response
 from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.robot_description import PLATE, joint_names, urdf
 
 ROOT = Path(__file__).parents[2]
 RIG = load_rig(ROOT / "src/abrace_plant/config/ncree_three_storey.yaml")
@@ -53,6 +59,33 @@ def test_one_sample_that_peaks_among_a_thousand_is_shown_in_its_place():
     assert shown[:, 1].max() == 7.0
     assert abs(times[shown[:, 0].argmin()] - 700) <= 15, "to three quarters of a window"
     np.testing.assert_array_equal(np.diff(times), 10)
+
+
+def test_the_value_of_the_greatest_magnitude_keeps_its_sign_and_a_failed_sensor_shows():
+    values = np.array([[1.0, -2.0, 0.0, 1.0], [-3.0, 1.0, 0.0, np.nan], [2.5, 1.9, 0.0, 9.0]])
+    np.testing.assert_array_equal(greatest(values), [-3.0, -2.0, 0.0, np.nan])
+    np.testing.assert_array_equal(greatest(values[:1]), values[0])
+
+
+class Sent:
+    """In place of a server that everybody has subscribed to: keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.messages: dict[str, list[tuple[int, bytes]]] = {}
+
+    def wanted(self, _: str) -> bool:
+        return True
+
+    def send(self, topic: str, payload: bytes, time: int, latched: bool = False) -> None:  # noqa: ARG002
+        self.messages.setdefault(topic, []).append((time, payload))
+
+    def send_json(self, topic: str, content: dict, time: int) -> None:
+        self.send(topic, json.dumps(content).encode(), time)
+
+    def offer(self, *_: object) -> None:
+        pass
+
+    open_channels = offer
 
 
 @pytest.fixture(scope="module")
@@ -98,13 +131,72 @@ def test_floors_are_drawn_as_many_times_further_out_as_is_asked_for():
     frames = scene.frames(sample, 20.0, 1_500_000_000).encode()
     assert struct.pack("<d", 20.0 * 0.0123) in frames
     assert frames.count(b"floor_2_link") == 1
-    drawn = scene.update(sample, 20.0, 0).encode()
+    drawn = scene_update(scene.picture(sample, 20.0), 0).encode()
     assert b"fa -12.26 kN, 50 %" in drawn
     assert b"fb 0.00 kN, 0 %" in drawn
     for share in colour(0.5):
         assert struct.pack("<d", share) in drawn
-    assert scene.update(dict.fromkeys(sample, float("nan")), 20.0, 0).encode(), "a failed sensor is no reason to stop"
-    assert Scene(FIVE).update({}, 1.0, 0).encode().count(b"kN") == sum(FIVE.braces_in_group)
+    for failed in (dict.fromkeys(sample, float("nan")), {}):
+        assert len(scene.picture(failed, 20.0).braces) == 2, "a failed sensor is no reason to stop"
+        assert scene_update(scene.picture(failed, 20.0), 0).encode()
+    assert len(Scene(FIVE).picture({}, 1.0).braces) == sum(FIVE.braces_in_group)
+
+
+def test_the_markers_for_rviz_have_every_brace_in_its_colour_with_force_and_utilisation():
+    sample = dict.fromkeys(names_of(3, [2]), 0.0) | {"x1": 0.01, "fa": -12258.3, "fa_utilisation": 0.5}
+    markers = marker_array(Scene(RIG).picture(sample, 20.0), 1_500_000_000).markers
+    assert {(one.header.frame_id, one.header.stamp.sec, one.header.stamp.nanosec) for one in markers} == {
+        ("table", 1, 500_000_000)
+    }
+    by_name = {(one.ns, one.id): one for one in markers}
+    assert len(by_name) == len(markers) == 1 + 2 * 3
+    assert by_name["numbers", 0].text == "fa -12.26 kN, 50 %"
+    line, force = by_name["braces", 0], by_name["forces", 0]
+    assert [line.color.r, line.color.g, line.color.b] == pytest.approx(colour(0.5))
+    assert line.points[1].x - line.points[0].x > 0
+    start, tip = force.points
+    assert start.x == pytest.approx((line.points[0].x + line.points[1].x) / 2)
+    assert np.hypot(tip.x - start.x, tip.z - start.z) == pytest.approx(1.0), "half of the length for the capacity"
+    assert tip.z < start.z, "compression pushes down"
+    assert (force.action, by_name["forces", 1].action) == (Marker.ADD, Marker.DELETE)
+    (columns,) = [one for one in markers if one.ns == "columns"]
+    assert len(columns.points) % 2 == 0
+    assert max(point.x for point in columns.points) == pytest.approx(0.2 + PLATE[0] / 2)
+
+
+class Pictures:
+    """Those who draw pictures."""
+
+    def __init__(self, wanted: bool) -> None:
+        self.wanted, self.taken = wanted, []
+
+    def take(self, picture, time):
+        self.taken.append((time, picture))
+
+
+def test_the_scene_has_the_greatest_force_of_its_interval_and_the_floors_of_its_last_sample(run):
+    done, bag = run
+    server, messages, pictures = Sent(), list(read_raw(bag).read()), Pictures(wanted=True)
+    display = Display(server, RIG, pictures)
+    for number, one in enumerate(messages, 1):
+        display.add(one.payload, one.log_time)
+        if number % 10 == 0:
+            display.show(20.0)
+    scenes, frames = server.messages[SCENE], server.messages[FRAMES]
+    assert len(scenes) == len(frames) == 100, "fifty in each second of the samples"
+    np.testing.assert_array_equal(np.diff([time for time, _ in scenes]), 20_000_000)
+    assert [time for time, _ in pictures.taken] == [time for time, _ in scenes]
+    samples = ResponseReader(RIG.capacity.tolist()).read([one.payload for one in messages])
+    force = samples.values[:, samples.names.index("fa")].reshape(100, 10)
+    inside = np.abs(force).argmax(axis=1)
+    assert np.sum(inside < 9) > 10, "of many intervals the last sample is not the greatest"
+    for (_, scene), (_, frame), own, at, x3 in zip(
+        scenes, frames, force, inside, done.outputs[9::10, done.names.index("x3")], strict=True
+    ):
+        share = 100 * abs(own[at]) / RIG.capacity[0]
+        assert f"fa {own[at] / 1000:.2f} kN, {share:.0f} %".encode() in scene
+        assert struct.pack("<d", 20.0 * x3) in frame
+        assert struct.pack("<d", 20.0 * x3 + PLATE[0] / 2) in scene, "columns end where the floor is"
 
 
 def test_a_bag_is_played_by_the_clock_and_again_from_its_beginning(run):
@@ -135,13 +227,46 @@ def test_the_layout_for_foxglove_shows_topics_and_channels_that_there_are():
     assert {"x5", "a5", "f2", "U2", "f1b_utilisation"} <= set(shown) <= {*others, "state"}
 
 
-def test_the_layout_for_plotjuggler_shows_fields_of_a_response():
+def test_the_layout_for_plotjuggler_shows_numbers_of_a_response_by_their_names():
     tree = ElementTree.parse(LAYOUTS / "plotjuggler.xml")
     curves = [curve.attrib["name"] for curve in tree.iter("curve")]
-    parsed = parse_message_type(RESPONSE_TYPE, message_definition(RESPONSE_TYPE).text)
-    fields = {field.name for field in parsed.fields[parsed.name]}
-    assert len(curves) > 10
-    assert {re.fullmatch(r"/rig/response/(\w+)(\[\d\])?", curve)[1] for curve in curves} <= fields
+    source = {one.attrib["name"]: one.findtext("linked_source") for one in tree.iterfind("customMathEquations/snippet")}
+    assert {one.findtext("function") for one in tree.iter("snippet")} == {"return value"}
+    plain = {curve for curve in curves if curve not in source}
+    assert plain == {f"/rig/response/{name}" for name in ("state", "flags", "clipped")}, "no number without its name"
+    assert {"x1", "x3", "a1", "a3", "w", "fa", "fb", "U", "xf"} <= set(source) <= set(curves)
+
+    response = Response(displacement=[1.0, 2.0, 3.0], acceleration=[4.0, 5.0, 6.0], stroke=[7.0], force=[8.0, 9.0])
+    response.braces, response.command, response.ground_acceleration = [2], [10.0], 11.0
+    samples = ResponseReader(RIG.capacity.tolist()).read([serialize_message(response)])
+    for name, path in source.items():
+        field, number = re.fullmatch(r"/rig/response/(\w+)(?:\[(\d)\])?", path).groups()
+        value = getattr(response, field)
+        assert samples.last[name] == (value if number is None else value[int(number)]), name
+    for curve in plain:
+        assert hasattr(response, curve.rpartition("/")[2])
+    made = ElementTree.fromstring(plotjuggler_layout(3, [2], "/rig/response"))
+    assert contents(made) == contents(tree.getroot()), "of this rig it is the one for any"
+
+
+def contents(root):
+    """Plots with their curves, and custom series with their sources, of a layout for PlotJuggler."""
+    plots = {
+        area.attrib["name"]: {curve.attrib["name"] for curve in area.iter("curve")} for area in root.iter("DockArea")
+    }
+    return plots, {one.attrib["name"]: one.findtext("linked_source") for one in root.iter("snippet")}
+
+
+def test_the_layout_for_plotjuggler_of_several_groups_names_each_brace():
+    plots, sources = contents(
+        ElementTree.fromstring(plotjuggler_layout(FIVE.floors, FIVE.braces_in_group, "/lab/response"))
+    )
+    assert sources["x5"] == "/lab/response/displacement[4]"
+    assert (sources["f1b"], sources["f2"]) == ("/lab/response/force[1]", "/lab/response/force[2]")
+    assert (sources["U2"], sources["w"]) == ("/lab/response/command[1]", "/lab/response/ground_acceleration")
+    assert {"f1a", "f2", "U1", "U2"} <= plots["force and command of a brace [N]"]
+    assert plots["stroke [m]"] == {"xf1", "xf2"}
+    assert plots["flags, clipped"] == {"/lab/response/flags", "/lab/response/clipped"}
 
 
 def test_the_configuration_for_rviz_shows_the_building_of_the_launch_files():
@@ -150,6 +275,32 @@ def test_the_configuration_for_rviz_shows_the_building_of_the_launch_files():
     assert model["Description Topic"]["Value"] == "/rig/robot_description"
     assert model["Description Topic"]["Durability Policy"] == "Transient Local"
     assert content["Global Options"]["Fixed Frame"] == "table", "the root of the robot description"
+
+
+def test_rviz_draws_floors_enlarged_and_joint_states_stay_as_measured():
+    plain = urdf(RIG)
+    assert enlarged(plain, 1.0) == plain
+    before, robot = (ElementTree.fromstring(text) for text in (plain, enlarged(plain, 20.0)))
+    joints = {joint.get("name"): joint for joint in robot.findall("joint")}
+    assert list(joints) == [*joint_names(RIG), *(f"{name}_drawn" for name in joint_names(RIG))]
+    for joint in before.findall("joint"):
+        name = joint.get("name")
+        drawn, measured = joints[f"{name}_drawn"], joints[name]
+        assert drawn.find("mimic").attrib == {"joint": name, "multiplier": "20"}
+        assert drawn.find("child").get("link") == joint.find("child").get("link") == f"{name}_link", "what RViz draws"
+        assert measured.find("child").get("link") == f"{name}_measured"
+        assert measured.find("mimic") is None
+        for each in (drawn, measured):
+            assert each.get("type") == "prismatic"
+            assert [each.find(tag).attrib for tag in ("origin", "axis", "parent")] == [
+                joint.find(tag).attrib for tag in ("origin", "axis", "parent")
+            ]
+        assert measured.find("limit").attrib == joint.find("limit").attrib
+        assert float(drawn.find("limit").get("upper")) == 20.0 * float(joint.find("limit").get("upper"))
+    children = [joint.find("child").get("link") for joint in joints.values()]
+    links = [link.get("name") for link in robot.findall("link")]
+    assert sorted(["table", *children]) == sorted(links), "a tree: every link but the root is the child of one joint"
+    assert [link.find("visual") is not None for link in robot.findall("link")] == [True] * 4 + [False] * 3
 
 
 def test_every_running_node_is_in_one_group_of_the_diagnostic_aggregator():

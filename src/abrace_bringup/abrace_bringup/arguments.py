@@ -64,6 +64,34 @@ def duration(text: str) -> float:
     return value
 
 
+def exaggeration(text: str) -> float:
+    """A number of 1 or more."""
+    if (value := number(text)) < 1:
+        raise ValueError("a number of 1 or more")
+    return value
+
+
+def forces(text: str) -> list[float]:
+    """One number of 0 or more, or several with commas between them; an empty text: none."""
+    return [number(each) for each in text.strip("[] ").split(",")] if text else []
+
+
+def band(text: str) -> list[float]:
+    """Two rising frequencies with a comma between them."""
+    try:
+        low, high = forces(text)
+    except ValueError:
+        low = high = 0.0
+    if not low < high:
+        raise ValueError("two frequencies in Hz such as 0.3,10.0, the lower one first")
+    return [low, high]
+
+
+def band_or_none(text: str) -> list[float]:
+    """A band, or an empty text."""
+    return band(text) if text else []
+
+
 def flag(text: str) -> bool:
     """`true` or `false`."""
     if text.lower() not in ("true", "false"):

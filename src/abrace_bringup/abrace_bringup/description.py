@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.substitution import Substitution
 from launch.substitutions import Command
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 from abrace_bringup.arguments import read_arguments
+from abrace_bringup.enlarged_description import enlarged
 from abrace_bringup.graphs import end_of_node
 from abrace_core.errors import AbraceError
 
@@ -105,6 +107,18 @@ def _typed(value: Any) -> ParameterValue:
     return ParameterValue(value, value_type=LIST_TYPES[type(value[0])] if isinstance(value, list) else type(value))
 
 
+class _Enlarged(Substitution):
+    """The robot description that a command prints, enlarged."""
+
+    def __init__(self, description: Command, times: float) -> None:
+        super().__init__()
+        self._description, self._times = description, times
+
+    def perform(self, context: LaunchContext) -> str:
+        """The text."""
+        return enlarged(self._description.perform(context), self._times)
+
+
 def _robot_state_publisher(values: Mapping[str, Any]) -> Action:
     try:
         get_package_prefix("robot_state_publisher")
@@ -113,7 +127,7 @@ def _robot_state_publisher(values: Mapping[str, Any]) -> Action:
             "robot_state_publisher:=true, expected the package of that name, which is not installed"
         ) from None
     executable = Path(get_package_prefix("abrace_plant")) / "lib/abrace_plant/robot_description"
-    description = Command([str(executable), " --ros-args -p rig:=", values["rig"]])
+    description = _Enlarged(Command([str(executable), " --ros-args -p rig:=", values["rig"]]), values["exaggeration"])
     return Node(
         package="robot_state_publisher",
         executable="robot_state_publisher",

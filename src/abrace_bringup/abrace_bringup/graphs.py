@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 from abrace_bringup.arguments import (
     OWN_NODE,
     Argument,
+    band_or_none,
     controller,
     duration,
     enclave_folder,
+    exaggeration,
     flag,
+    forces,
     namespace,
     new_bag,
     number,
@@ -47,6 +50,7 @@ COMMON = (
         enclave_folder,
     ),
     Argument("robot_state_publisher", "false", "true: start robot_state_publisher as well, for RViz", flag),
+    Argument("exaggeration", "20.0", "times which RViz shows displacements enlarged; 1.0: as measured", exaggeration),
 )
 CLOSED_LOOP = (
     Argument(
@@ -80,9 +84,31 @@ IDENTIFICATION = (
         one_of("white_noise", "multisine"),
     ),
     Argument("duration", "300.0", "s of the signal", duration),
+    Argument("table_rms", "0.25", "m/s^2, rms of the table's acceleration", duration),
+    Argument(
+        "table_band",
+        "",
+        "Hz, band of the table's signal, to above the building's highest mode; empty: to 10 Hz, noise from 0.1 Hz, a "
+        "multisine from 0.3 Hz",
+        band_or_none,
+    ),
+    Argument(
+        "command_rms",
+        "",
+        "N, rms of the force of one brace: of all groups, or of each; empty: 7 % of the capacity of each",
+        forces,
+    ),
+    Argument(
+        "command_band",
+        "",
+        "Hz, band of the commands; empty: to 30 Hz, noise from 0 Hz, a multisine from 0.3 Hz",
+        band_or_none,
+    ),
     *COMMON,
 )
 SUPERVISOR = "supervisor"
+COMMAND_SHARE = 0.07
+"""Rms of the commands over the capacity in a test for identification: that of the paper's test, 1.8 of 24.5 kN."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +130,7 @@ def closed_loop(values: Mapping[str, Any]) -> list[NodeSetup]:
         Of the arguments `CLOSED_LOOP`.
     """
     motion = {name: values[name] for name in ("rig", "record", "peak_acceleration", "duration")}
+    motion |= _sample_rate(_read_rig(values["rig"]))
     given = values["controller"]
     if OWN_NODE.fullmatch(given):
         package, executable = given.split("/")
@@ -127,14 +154,19 @@ def identification(values: Mapping[str, Any]) -> list[NodeSetup]:
     signal = "multisine" if both else values["signal"]
     # the table not from 0 Hz: its displacement grows with 1 / frequency^2
     lowest, lowest_command = (0.3, 0.3) if signal == "multisine" else (0.1, 0.0)
-    drive = {"duration": values["duration"]}
+    rig = _read_rig(values["rig"])
+    drive = {"duration": values["duration"], **_sample_rate(rig)}
     partners = {}
     if both or values["drive"] == "table":
-        motion = {"rig": values["rig"], "record": signal, "band": [lowest, 10.0], **drive}
+        band = values["table_band"] or [lowest, 10.0]
+        motion = {"rig": values["rig"], "record": signal, "rms": values["table_rms"], "band": band, **drive}
         partners["ground_motion"] = NodeSetup("abrace_plant", "ground_motion", motion)
     if both or values["drive"] == "command":
         lines = "even" if both else "odd"
-        command = {"signal": signal, "band": [lowest_command, 30.0], "lines": lines, **drive}
+        limits = _capacities(rig)
+        rms = values["command_rms"] or [round(COMMAND_SHARE * limit, 1) for limit in limits]
+        band = values["command_band"] or [lowest_command, 30.0]
+        command = {"signal": signal, "rms": rms, "band": band, "lines": lines, "force_limit": limits, **drive}
         partners["brace_command"] = NodeSetup("abrace_sysid", "excitation", command)
     return _test(values, partners, [partner.executable for partner in partners.values()], [])
 
@@ -168,12 +200,34 @@ def _test(
     ]
 
 
+def _read_rig(rig: str) -> dict[str, Any]:
+    """The content of the file of a `rig`, which the plant checks."""
+    content = read_yaml(find_file(rig, "abrace_plant", "config", ".yaml", "rig"), "rig")
+    return content if isinstance(content, dict) else {}
+
+
+def _sample_rate(rig: Mapping[str, Any]) -> dict[str, float]:
+    """The parameter `sample_rate` of a node that answers a `rig`, from the content of its file."""
+    try:
+        return {"sample_rate": float(rig["sample_rate"])}
+    except (TypeError, ValueError, KeyError):
+        return {}
+
+
+def _capacities(rig: Mapping[str, Any]) -> list[float]:
+    """Capacity of one brace of each group [N] in the content of a `rig` file; empty if it has none or is wrong."""
+    groups = rig.get("braces")
+    try:
+        return [float(group["actuator"]["capacity"]) for group in groups or []]
+    except (TypeError, ValueError, KeyError):
+        return []
+
+
 def _rig_files(rig: str) -> list[str]:
     """The file of a `rig` and the frame file that it names; none of an installed rig. The plant checks them."""
     if not rig.endswith(".yaml"):
         return []
-    content = read_yaml(rig, "rig")
-    building = content.get("building") if isinstance(content, dict) else None
+    building = _read_rig(rig).get("building")
     frame = building.get("frame") if isinstance(building, dict) else None
     if not isinstance(frame, str):
         return [rig]

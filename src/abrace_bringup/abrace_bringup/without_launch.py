@@ -8,6 +8,7 @@ The nodes' output is printed on the terminal, each line with the node's name.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -60,17 +61,26 @@ def _main(
             terminal = Terminal(Path(folder))
             try:
                 problem = _carry_out(values, nodes(values), group, terminal)
-            except KeyboardInterrupt:
+            except (KeyboardInterrupt, BrokenPipeError):
+                # Ctrl-C, or the reader of the output, such as `head`, has closed the pipe
                 problem = ""
             finally:
                 group.stop_all()
-                terminal.show()
+                _show_last(terminal)
             if problem:
                 print(f"{name}: {problem}", file=sys.stderr)
             return int(bool(problem))
     except AbraceError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 2
+
+
+def _show_last(terminal: Terminal) -> None:
+    """Show what the nodes printed at their ends; where nobody reads it, what Python still writes is discarded, too."""
+    try:
+        terminal.show()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _values(table: Sequence[Argument], words: Sequence[str]) -> dict[str, Any]:

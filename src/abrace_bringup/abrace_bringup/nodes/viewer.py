@@ -7,6 +7,7 @@ abrace run abrace_bringup viewer --ros-args -p rig:=five_storey -p exaggeration:
 from __future__ import annotations
 
 import os
+import secrets
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -16,10 +17,13 @@ from rclpy.exceptions import NameValidationException
 from abrace.report.node_table import NodeReports
 from abrace_bags import read_facts
 from abrace_bringup.nodes.live_topics import LiveTopics
+from abrace_bringup.nodes.markers import Markers
 from abrace_bringup.nodes.viewer_operations import Operations
+from abrace_bringup.operator_page.access import read_token
 from abrace_bringup.viewing.bag_source import BagSource
 from abrace_bringup.viewing.display import Display
-from abrace_bringup.viewing.layout import layout
+from abrace_bringup.viewing.guard import Guard, own_origins
+from abrace_bringup.viewing.layout import layout, plotjuggler_layout
 from abrace_bringup.viewing.named_channels import RESPONSE_TYPE, names_of
 from abrace_bringup.viewing.page import PageServer, facts
 from abrace_bringup.viewing.server import NODES, ViewServer
@@ -39,19 +43,24 @@ PARAMETERS = [
     Parameter("rate", 1.0, "bag time over time", minimum=0.001, maximum=1e3),
     Parameter("loop", True, "play the bag again after its last message"),
     Parameter("operate", False, "let viewers call services of the graph, set its parameters, and stop it"),
+    Parameter("token_file", "", "with operate: file with the token that viewers have to give; empty: a new one"),
 ]
 DEFAULT_RIG = "ncree_three_storey"
+LAUNCHED_RIG = "/rig/response"
+"""Topic of a rig's samples as the launch files have it."""
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 NICENESS = 5
-"""By how much it gives way to other processes."""
+"""Niceness of the process: nodes of the loop go first."""
 DISCOVERY_PERIOD = 0.5
-"""Seconds between looks for topics, and for what viewers look at."""
+"""Seconds between searches for topics, and for the topics that viewers have subscribed to."""
+REFUSAL_PERIOD = 5.0
+"""Seconds between warnings of refused connections, which a page may repeat as often as it likes."""
 REPORT_PERIOD = 1.0
 """Seconds between the states of nodes, as viewers get them."""
 
 
 class Viewer(AbraceNode):
-    """Passes messages on, and shows what they say of the rig."""
+    """Passes messages on to viewers, and shows the rig's motion and forces."""
 
     def __init__(self) -> None:
         super().__init__("viewer", PARAMETERS)
@@ -60,26 +69,32 @@ class Viewer(AbraceNode):
             raise AbraceError(
                 f"parameter operate: true with host {given.host}, expected a host of {', '.join(LOOPBACK)}"
             )
+        if given.token_file and not given.operate:
+            raise AbraceError("parameter token_file: given, expected operate:=true with it")
         self.bag = BagSource(given.bag, given.rate, given.loop) if given.bag else None
         rig = self.find_rig()
+        self.rig_topic = self.topic_of_rig()
         self.operations = Operations(self, may_change=given.operate)
+        token = self.find_token() if given.operate else ""
         self.server = ViewServer(
             given.host,
             given.port,
             f"abrace: {given.bag or rig.name}",
+            Guard(given.host, given.port, token, self.on_refusal) if token else None,
             self.operations.capabilities(live=self.bag is None),
             self.operations.get_parameters,
             self.operations.set_parameters,
         )
-        self.display = Display(self.server, rig)
+        self.display = Display(self.server, rig, Markers(self))
         self.page = PageServer(
             given.host,
             given.page_port,
             facts(rig, self.server.port, given.exaggeration),
             layout(names_of(rig.floors, rig.braces_in_group)),
+            lambda: plotjuggler_layout(rig.floors, rig.braces_in_group, self.rig_topic or LAUNCHED_RIG),
         )
+        self.server.open_to(own_origins(self.page.port))
         self.topics: LiveTopics | None = None
-        self.rig_topic = self.topic_of_rig()
         self.reports = NodeReports()
         self.problem = ""
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -90,11 +105,17 @@ class Viewer(AbraceNode):
             self.create_timer(REPORT_PERIOD, self.report_nodes, clock=steady)
         else:
             self.offer_bag(self.bag)
-        print(
-            f"viewer: {self.page.url} in a browser; Foxglove, Lichtblick: ws://{given.host}:{self.server.port}",
-            flush=True,
-        )
+        address = f"ws://{given.host}:{self.server.port}" + (f"/?token={token}" if token else "")
+        print(f"viewer: {self.page.url} in a browser; Foxglove, Lichtblick: {address}", flush=True)
         self.due = time.monotonic()
+
+    def find_token(self) -> str:
+        """The token without which nobody operates."""
+        return read_token(self.parameters.token_file) if self.parameters.token_file else secrets.token_urlsafe(16)
+
+    def on_refusal(self, reason: str) -> None:
+        """Log that a connection was refused; called in the guard's thread."""
+        self.get_logger().warning(f"refused: {reason}", throttle_duration_sec=REFUSAL_PERIOD)
 
     def find_rig(self) -> Rig:
         """The rig that is drawn."""
@@ -125,7 +146,7 @@ class Viewer(AbraceNode):
                 self.server.offer(name, definition)
 
     def tick(self) -> None:
-        """Pass on what has come, and show the rig."""
+        """Pass on the messages received, and show the rig."""
         self.due = max(time.monotonic(), (self.due or 0.0) + DISPLAY_PERIOD)
         self.server.greet()
         if self.topics is not None:
@@ -156,12 +177,12 @@ class Viewer(AbraceNode):
         self.server.tell_time(self.bag.time(now))
 
     def begin_anew(self) -> None:
-        """The bag begins again."""
+        """The bag starts again from its first message."""
         self.display.finish(self.parameters.exaggeration)
         self.server.begin_anew()
 
     def look_around(self) -> None:
-        """Offer new topics, and subscribe to what viewers look at."""
+        """Offer new topics, and subscribe to the topics that viewers have subscribed to."""
         assert self.topics is not None
         self.topics.discover()
         if not self.rig_topic and self.topics.rigs:
@@ -173,7 +194,7 @@ class Viewer(AbraceNode):
         self.operations.offer(self.server)
 
     def on_diagnostics(self, array: DiagnosticArray) -> None:
-        """Nodes report."""
+        """Take the reports of nodes."""
         for status in array.status:
             self.reports.note(status, time.monotonic())
 
@@ -188,10 +209,11 @@ class Viewer(AbraceNode):
         if self.topics is not None:
             values["lost"] = self.topics.lost(self.rig_topic)
         what = self.parameters.bag or self.rig_topic or "waiting for a rig"
-        return None, self.problem or (f"showing {what}" if self.display.wanted else f"nobody looks; {what}"), values
+        shown = f"showing {what}" if self.display.wanted else f"no viewer has subscribed; {what}"
+        return None, self.problem or shown, values
 
     def close(self) -> None:
-        """Disconnect viewers, and leave the graph."""
+        """Disconnect all viewers, and remove the subscriptions."""
         self.server.close()
         self.page.close()
         if self.topics is not None:

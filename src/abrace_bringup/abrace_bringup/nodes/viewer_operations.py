@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 
 from abrace.nodes.graph_operator import STOP_TOPIC, StopButton
 from abrace_core.errors import AbraceError
-from abrace_core.node import TRANSIENT_LOCAL_QOS
+from abrace_core.node import TRANSIENT_LOCAL_QOS, RCLError, rcl_message
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -174,10 +174,13 @@ class Operations:
         """Have the node's executor call `act`; returns what that gives."""
         executor, done = self._node.executor, threading.Event()
         results: list[Any] = []
+        refused: list[str] = []
 
         def acted() -> None:
             try:
                 results.append(act())
+            except RCLError as error:
+                refused.append(rcl_message(error))  # with SROS2: the viewer's enclave does not allow it
             finally:
                 done.set()
 
@@ -185,7 +188,7 @@ class Operations:
             raise AbraceError("the viewer is just starting or ending")
         executor.create_task(acted)
         if not done.wait(PATIENCE) or not results:
-            raise AbraceError("the viewer does not answer")
+            raise AbraceError(refused[0] if refused else "the viewer does not answer")
         return results[0]
 
 

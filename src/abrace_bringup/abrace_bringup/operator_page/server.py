@@ -54,16 +54,16 @@ FILES = {
 
 
 class Desk(Protocol):
-    """What the server asks of the node; every method is called in the server's thread, and returns at once."""
+    """What the server calls in the node; every method is called in the server's thread, and returns at once."""
 
     def hello(self) -> dict[str, Any]:
-        """What a page is told once."""
+        """Content of the first message to a page."""
 
     def frame(self, bins: int, events: int) -> dict[str, Any]:
-        """What a page is told now, which has the bins and events up to these numbers."""
+        """Content of the next frame to a page that has the bins and events up to these numbers."""
 
     def ask(self, action: str, node: str) -> None:
-        """A person asks for an action; what comes of it is an event."""
+        """A person has pressed a button; the result of the action is an event."""
 
     def hear(self, page: object) -> None:
         """A page has answered."""
@@ -73,7 +73,7 @@ class Desk(Protocol):
 
 
 class _Guarded(RequestHandler):
-    """Answers those alone whom `Access` lets in."""
+    """Answers only the requests that `Access` admits."""
 
     def initialize(self, server: PageServer) -> None:
         self.server = server
@@ -133,7 +133,11 @@ class _Live(_Guarded, WebSocketHandler):
             given = json.loads(message)
             if not isinstance(given, dict):
                 raise ValueError
-            if not self.known:
+            if self not in self.server.pages:
+                # messages sent before the page was closed still arrive: of these only a stop is obeyed
+                if self.known and given.get("do") == "stop":
+                    self.server.desk.ask("stop", "")
+            elif not self.known:
                 await self._enter(str(given["token"]))
             elif "got" in given:
                 self.answered, self.heard = min(int(given["got"]), self.sent), time.monotonic()
@@ -157,7 +161,7 @@ class _Live(_Guarded, WebSocketHandler):
             self._send({"hello": server.desk.hello()})
 
     def tell(self, now: float) -> None:
-        """Send the next frame, unless the page is behind; close it where it answers no more."""
+        """Send the next frame, unless the page is behind; close a page that has stopped answering."""
         if now - self.heard > (DEAD if self.known else TOKEN_PATIENCE):
             self.close(ENDED, "no answer")
             self.server.forget(self)
@@ -183,16 +187,16 @@ class PageServer:
     Parameters
     ----------
     access
-        Where and to whom; its port may be 0, for a free one.
+        Address, names and token; its port may be 0, for a free one.
     desk
-        What the pages show, and what is pressed.
+        Provides what the pages show, and takes what is pressed.
     failed
-        Called in the server's thread with what it has died of.
+        Called in the server's thread with the exception that ended the server.
 
     Raises
     ------
     AbraceError
-        If the address cannot be had.
+        If the address or the port cannot be used.
     """
 
     def __init__(self, access: Access, desk: Desk, failed: Callable[[BaseException], None]) -> None:
@@ -210,12 +214,12 @@ class PageServer:
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
     def start(self) -> None:
-        """Serve, in a thread; returns once it does."""
+        """Start the server in a thread; returns once it accepts connections."""
         self._thread.start()
         self._ready.wait()
 
     def stop(self) -> None:
-        """Close all pages, and serve no more."""
+        """Close all pages, and stop the server."""
         if self._loop is not None and self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._over.set)
             self._thread.join()
@@ -228,7 +232,7 @@ class PageServer:
         return sum(page.known for page in list(self.pages))
 
     def refuse(self, reason: str) -> None:
-        """Count a request that was refused, and keep why."""
+        """Count a refused request, and keep the reason."""
         self.refused, self.last_refusal = self.refused + 1, reason
 
     def forget(self, page: _Live) -> None:

@@ -44,3 +44,23 @@ def extremes(times: NDArray[np.int64], values: NDArray[np.float64]) -> tuple[NDA
     rows = np.stack([np.minimum(low, high), np.maximum(low, high)])
     span = (times[-1] - times[0]) * count // (count - 1)
     return times[0] + np.array([span // 4, 3 * span // 4]), np.take_along_axis(values, rows, axis=0)
+
+
+def greatest(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The value of the greatest magnitude of each channel, with its sign; NaN, where a channel has one.
+
+    >>> greatest(np.array([[0.0, 5.0], [-3.0, 4.0], [1.0, 1.0]])).tolist()
+    [-3.0, 5.0]
+
+    Parameters
+    ----------
+    values
+        (samples, channels), at least one sample.
+
+    Returns
+    -------
+    values
+        (channels,)
+    """
+    rows = np.abs(values).argmax(axis=0)
+    return np.take_along_axis(values, rows[None], axis=0)[0]

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from abrace_bags.definitions import message_definition
 from abrace_bringup.viewing.decimation import extremes
 from abrace_bringup.viewing.named_channels import ResponseReader, message, names_of, schema
-from abrace_bringup.viewing.scene import Scene
+from abrace_bringup.viewing.scene import Scene, scene_update
 from abrace_bringup.viewing.server import CHANNELS, DESCRIPTION, FRAMES, SCENE
 from abrace_core.errors import AbraceError
 from abrace_plant.rig.robot_description import urdf
@@ -19,12 +19,24 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_bringup.viewing.named_channels import Samples
+    from abrace_bringup.viewing.scene import Picture
     from abrace_bringup.viewing.server import ViewServer
     from abrace_plant.rig.model import Rig
 
 PARTS = 2
 """Messages of named channels from one window: one of the smaller and one of the larger values, or the other way round.
 A window is as many displays long, so that these come 50 times a second, too."""
+
+
+class Pictures(Protocol):
+    """Who draws pictures of the building besides the server's viewers."""
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody looks."""
+
+    def take(self, picture: Picture, time: int) -> None:
+        """Draw a picture of a `time` [ns]."""
 
 
 class Display:
@@ -36,10 +48,13 @@ class Display:
         Where viewers are.
     rig
         Whose samples come.
+    pictures
+        Who else is given each picture of the columns and braces, with its time [ns], and whether they want it.
     """
 
-    def __init__(self, server: ViewServer, rig: Rig) -> None:
+    def __init__(self, server: ViewServer, rig: Rig, pictures: Pictures) -> None:
         self._server = server
+        self._pictures = pictures
         self._rig = rig
         self._reader = ResponseReader(rig.capacity.tolist())
         self._scene = Scene(rig)
@@ -56,7 +71,7 @@ class Display:
     @property
     def wanted(self) -> bool:
         """Whether a viewer looks at any of it."""
-        return any(self._server.wanted(topic) for topic in (CHANNELS, FRAMES, SCENE))
+        return self._pictures.wanted or any(self._server.wanted(topic) for topic in (CHANNELS, FRAMES, SCENE))
 
     def add(self, payload: bytes, time: int) -> None:
         """Take a Response, given as its `payload`, of a `time` [ns]."""
@@ -96,8 +111,13 @@ class Display:
         )
         if not self.problem and self._server.wanted(FRAMES):
             self._server.send(FRAMES, self._scene.frames(last, exaggeration, times[-1]).encode(), times[-1])
-        if not self.problem and self._server.wanted(SCENE):
-            self._server.send(SCENE, self._scene.update(last, exaggeration, times[-1]).encode(), times[-1])
+        scene, pictures = self._server.wanted(SCENE), self._pictures.wanted
+        if not self.problem and (scene or pictures):
+            picture = self._scene.picture(samples.loaded, exaggeration)
+            if scene:
+                self._server.send(SCENE, scene_update(picture, times[-1]).encode(), times[-1])
+            if pictures:
+                self._pictures.take(picture, times[-1])
         self._window.append((np.array(times[-len(samples.values) :], np.int64), samples))
         if len(self._window) == PARTS:
             self._send_window()

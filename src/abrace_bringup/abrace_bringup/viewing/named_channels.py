@@ -9,6 +9,7 @@ import numpy as np
 
 from abrace_bags.cdr import decode
 from abrace_bags.definitions import message_definition, parse_message_type
+from abrace_bringup.viewing.decimation import greatest
 from abrace_core.safety.rig_safety import State
 from abrace_core.signals import GROUND, command_names, load_cell_names, response_names, unit
 
@@ -46,6 +47,13 @@ class Samples(NamedTuple):
     def last(self) -> dict[str, float]:
         """The last value of each channel, by name."""
         return dict(zip(self.names, self.values[-1].tolist(), strict=True))
+
+    @property
+    def loaded(self) -> dict[str, float]:
+        """The last displacements, and of all other channels the value of the greatest magnitude, by name."""
+        return dict(zip(self.names, greatest(self.values).tolist(), strict=True)) | {
+            name: value for name, value in self.last.items() if name[0] == "x"
+        }
 
 
 def names_of(floors: int, braces: Sequence[int], utilised: bool = True) -> tuple[str, ...]:

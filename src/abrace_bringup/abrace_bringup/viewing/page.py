@@ -13,10 +13,12 @@ from abrace_core.errors import AbraceError
 from abrace_core.installed import find_file
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from abrace_plant.rig.model import Rig
 
-PAGE, FACTS, LAYOUT = "/", "/rig.json", "/foxglove.json"
-"""Paths that are served: the page, what it has to know, and the layout of the rig for Foxglove."""
+PAGE, FACTS, LAYOUT, PLOTJUGGLER = "/", "/rig.json", "/foxglove.json", "/plotjuggler.xml"
+"""Paths that are served: the page, what it has to know, and the layouts of the rig for Foxglove and PlotJuggler."""
 
 
 def facts(rig: Rig, port: int, exaggeration: float) -> dict[str, Any]:
@@ -53,6 +55,8 @@ class PageServer:
         What `facts` gives.
     rig_layout
         What `layout.layout` gives.
+    plotjuggler_layout
+        Function that returns what `layout.plotjuggler_layout` gives, called at each request: the topic may come later.
 
     Raises
     ------
@@ -60,7 +64,14 @@ class PageServer:
         If it can't listen there.
     """
 
-    def __init__(self, host: str, port: int, rig_facts: dict[str, Any], rig_layout: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        rig_facts: dict[str, Any],
+        rig_layout: dict[str, Any],
+        plotjuggler_layout: Callable[[], bytes],
+    ) -> None:
         page = find_file("page", "abrace_bringup", "viewer", ".html", "page").read_bytes()
         answers = {
             PAGE: ("text/html; charset=utf-8", page),
@@ -70,7 +81,10 @@ class PageServer:
 
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
-                kind, body = answers.get(self.path.partition("?")[0], ("", b""))
+                path = self.path.partition("?")[0]
+                kind, body = answers.get(path, ("", b""))
+                if path == PLOTJUGGLER:
+                    kind, body = "application/xml", plotjuggler_layout()
                 self.send_response(HTTPStatus.OK if kind else HTTPStatus.NOT_FOUND)
                 self.send_header("Content-Type", kind or "text/plain")
                 self.send_header("Content-Length", str(len(body)))
@@ -79,7 +93,7 @@ class PageServer:
                 self.wfile.write(body)
 
             def log_message(self, *_: Any) -> None:
-                """Nobody reads who has looked."""
+                """Requests are not logged."""
 
         try:
             self._server = ThreadingHTTPServer((host, port), Handler)
@@ -89,13 +103,18 @@ class PageServer:
         self._thread.start()
 
     @property
+    def port(self) -> int:
+        """The port on which it listens."""
+        return int(self._server.server_address[1])
+
+    @property
     def url(self) -> str:
         """Where the page is."""
         host, port = self._server.server_address[:2]
         return f"http://{host!s}:{port}{PAGE}"
 
     def close(self) -> None:
-        """Serve no longer."""
+        """Stop the server."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from foxglove.messages import (
     ArrowPrimitive,
@@ -37,11 +37,20 @@ if TYPE_CHECKING:
 
     from abrace_plant.rig.model import BraceGroup, Rig
 
+Point = tuple[float, float, float]
+
+FRAME = "table"
+"""The frame in which all is drawn: the root of the robot description."""
+
 COLUMN_PARTS = 6
 """Straight pieces of which a bent column is drawn."""
+
+COLUMN, BRACE, SHAFT, HEAD, TEXT = 0.12, 0.2, 0.3, 0.4, 0.4
+"""Thickness of columns and braces, diameter of an arrow's shaft, length of its head, height of letters [m]."""
 FULL_ARROW = 2.0
 """Length of the arrow of a force that is the capacity [m]."""
-GREY = Color(r=0.45, g=0.5, b=0.55, a=1.0)
+GREY = (0.45, 0.5, 0.55)
+"""Colour of the columns (red, green, blue)."""
 FULL, HALF, NONE = (0.85, 0.1, 0.1), (0.95, 0.75, 0.1), (0.15, 0.65, 0.3)
 """Colours of a brace at its capacity, at half of it, and without force (red, green, blue)."""
 
@@ -56,6 +65,68 @@ def colour(utilisation: float) -> tuple[float, float, float]:
     low, high, part = (NONE, HALF, 2 * share) if share <= 0.5 else (HALF, FULL, 2 * share - 1)
     red, green, blue = (a + part * (b - a) for a, b in zip(low, high, strict=True))
     return red, green, blue
+
+
+class Brace(NamedTuple):
+    """A brace as drawn.
+
+    Parameters
+    ----------
+    cell
+        Name of its load cell.
+    foot, head
+        Its ends on the floor below and on its own, (x, y, z) [m].
+    force
+        [N], tension positive.
+    utilisation
+        Force over capacity.
+    """
+
+    cell: str
+    foot: Point
+    head: Point
+    force: float
+    utilisation: float
+
+    @property
+    def middle(self) -> Point:
+        """Where the arrow of the force begins and its number stands [m]."""
+        (x, y, z), (u, v, w) = self.foot, self.head
+        return (x + u) / 2, (y + v) / 2, (z + w) / 2
+
+    @property
+    def direction(self) -> float:
+        """Slope [rad] of the arrow in the plane of the frame: along the brace, for tension upwards."""
+        slope = math.atan2(self.head[2] - self.foot[2], self.head[0] - self.foot[0])
+        return slope if self.force >= 0 else slope + math.pi
+
+    @property
+    def arrow(self) -> float:
+        """Length of the arrow [m]."""
+        return FULL_ARROW * min(self.utilisation, 1.0) if math.isfinite(self.utilisation) else 0.0
+
+    @property
+    def tip(self) -> Point:
+        """Where the arrow ends [m]."""
+        x, y, z = self.middle
+        return x + self.arrow * math.cos(self.direction), y, z + self.arrow * math.sin(self.direction)
+
+    @property
+    def colour(self) -> tuple[float, float, float]:
+        """Red, green and blue."""
+        return colour(self.utilisation)
+
+    @property
+    def text(self) -> str:
+        """Force and utilisation in words."""
+        return f"{self.cell} {self.force / 1000:.2f} kN, {100 * self.utilisation:.0f} %"
+
+
+class Picture(NamedTuple):
+    """Columns, as both ends (x, y, z) [m] of each straight piece, and braces."""
+
+    columns: list[Point]
+    braces: list[Brace]
 
 
 class Scene:
@@ -90,7 +161,7 @@ class Scene:
             transforms=[
                 FrameTransform(
                     timestamp=stamp,
-                    parent_frame_id="table",
+                    parent_frame_id=FRAME,
                     child_frame_id=f"{joint}_link",
                     translation=Vector3(x=x, y=0.0, z=z),
                     rotation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
@@ -99,30 +170,26 @@ class Scene:
             ]
         )
 
-    def update(self, sample: Mapping[str, float], exaggeration: float, time: int) -> SceneUpdate:
-        """Columns and braces, with force and utilisation of each; arguments as `frames`.
+    def picture(self, sample: Mapping[str, float], exaggeration: float) -> Picture:
+        """Columns and braces, with force and utilisation of each.
 
         Parameters
         ----------
-        sample, exaggeration, time
+        sample
+            Values by their names, as `Samples.loaded`.
+        exaggeration
             As for `frames`.
         """
-        places, stamp = self._places(sample, exaggeration), _stamp(time)
-        columns = SceneEntity(
-            timestamp=stamp,
-            frame_id="table",
-            id="columns",
-            lines=[
-                LinePrimitive(type=LinePrimitiveLineType.LineList, thickness=0.12, color=GREY, points=_columns(places))
+        places = self._places(sample, exaggeration)
+        cells = iter(load_cell_names(self._rig.braces_in_group))
+        return Picture(
+            _columns(places),
+            [
+                self._brace(next(cells), group, number, sample, places)
+                for group in self._rig.braces
+                for number in range(group.count)
             ],
         )
-        cells = iter(load_cell_names(self._rig.braces_in_group))
-        braces = [
-            self._brace(next(cells), group, number, sample, places, stamp)
-            for group in self._rig.braces
-            for number in range(group.count)
-        ]
-        return SceneUpdate(entities=[columns, *braces])
 
     def _places(self, sample: Mapping[str, float], exaggeration: float) -> list[tuple[float, float]]:
         """Of the table and each floor: along x as drawn, and height [m]."""
@@ -137,54 +204,68 @@ class Scene:
         number: int,
         sample: Mapping[str, float],
         places: list[tuple[float, float]],
-        stamp: Timestamp,
-    ) -> SceneEntity:
-        """A brace from the floor below to its own, an arrow of its force along it, and both numbers."""
+    ) -> Brace:
+        """A brace from the floor below to its own."""
         (below, bottom), (above, top) = places[group.floor - 1], places[group.floor]
         run = min((top - bottom) * group.cosine / math.sqrt(max(1 - group.cosine**2, 1e-6)), 0.95 * PLATE[0])
         y = PLATE[1] * (0.5 if group.count == 1 else number / (group.count - 1)) - PLATE[1] / 2
-        foot, head = (below - run / 2, bottom), (above + run / 2, top)
-        middle = Vector3(x=(foot[0] + head[0]) / 2, y=y, z=(bottom + top) / 2)
-        slope = math.atan2(head[1] - foot[1], head[0] - foot[0])
-        force, utilisation = sample.get(cell, math.nan), sample.get(f"{cell}{UTILISATION}", math.nan)
-        red, green, blue = colour(utilisation)
-        paint = Color(r=red, g=green, b=blue, a=1.0)
-        length = FULL_ARROW * min(utilisation, 1.0) if math.isfinite(utilisation) else 0.0
-        return SceneEntity(
-            timestamp=stamp,
-            frame_id="table",
-            id=cell,
-            lines=[
-                LinePrimitive(
-                    type=LinePrimitiveLineType.LineStrip,
-                    thickness=0.2,
-                    color=paint,
-                    points=[Point3(x=x, y=y, z=z) for x, z in (foot, head)],
-                )
-            ],
-            arrows=[
-                ArrowPrimitive(
-                    pose=Pose(position=middle, orientation=_about_y(slope if force >= 0 else slope + math.pi)),
-                    shaft_length=length,
-                    shaft_diameter=0.3,
-                    head_length=0.4 if length else 0.0,
-                    head_diameter=0.6,
-                    color=paint,
-                )
-            ],
-            texts=[
-                TextPrimitive(
-                    pose=Pose(position=middle, orientation=_about_y(0.0)),
-                    billboard=True,
-                    font_size=0.4,
-                    color=paint,
-                    text=f"{cell} {force / 1000:.2f} kN, {100 * utilisation:.0f} %",
-                )
-            ],
-        )
+        foot, head = (below - run / 2, y, bottom), (above + run / 2, y, top)
+        return Brace(cell, foot, head, sample.get(cell, math.nan), sample.get(f"{cell}{UTILISATION}", math.nan))
 
 
-def _columns(places: list[tuple[float, float]]) -> list[Point3]:
+def scene_update(picture: Picture, time: int) -> SceneUpdate:
+    """A `picture` as Foxglove draws it: a brace is a line, with an arrow of its force along it, and both numbers.
+
+    Parameters
+    ----------
+    picture
+        What is drawn.
+    time
+        Of the sample [ns].
+    """
+    stamp = _stamp(time)
+    points = [Point3(x=x, y=y, z=z) for x, y, z in picture.columns]
+    red, green, blue = GREY
+    grey = Color(r=red, g=green, b=blue, a=1.0)
+    lines = [LinePrimitive(type=LinePrimitiveLineType.LineList, thickness=COLUMN, color=grey, points=points)]
+    columns = SceneEntity(timestamp=stamp, frame_id=FRAME, id="columns", lines=lines)
+    return SceneUpdate(entities=[columns, *(_entity(brace, stamp) for brace in picture.braces)])
+
+
+def _entity(brace: Brace, stamp: Timestamp) -> SceneEntity:
+    red, green, blue = brace.colour
+    paint = Color(r=red, g=green, b=blue, a=1.0)
+    x, y, z = brace.middle
+    middle, length = Vector3(x=x, y=y, z=z), brace.arrow
+    ends = [Point3(x=x, y=y, z=z) for x, y, z in (brace.foot, brace.head)]
+    return SceneEntity(
+        timestamp=stamp,
+        frame_id=FRAME,
+        id=brace.cell,
+        lines=[LinePrimitive(type=LinePrimitiveLineType.LineStrip, thickness=BRACE, color=paint, points=ends)],
+        arrows=[
+            ArrowPrimitive(
+                pose=Pose(position=middle, orientation=_about_y(brace.direction)),
+                shaft_length=length,
+                shaft_diameter=SHAFT,
+                head_length=HEAD if length else 0.0,
+                head_diameter=2 * SHAFT,
+                color=paint,
+            )
+        ],
+        texts=[
+            TextPrimitive(
+                pose=Pose(position=middle, orientation=_about_y(0.0)),
+                billboard=True,
+                font_size=TEXT,
+                color=paint,
+                text=brace.text,
+            )
+        ],
+    )
+
+
+def _columns(places: list[tuple[float, float]]) -> list[Point]:
     """Both ends of every piece of the columns at the four corners, each clamped in both its floors."""
     points = []
     for (below, bottom), (above, top) in itertools.pairwise(places):
@@ -192,7 +273,7 @@ def _columns(places: list[tuple[float, float]]) -> list[Point3]:
         line = [(below + (above - below) * (3 * s**2 - 2 * s**3), bottom + (top - bottom) * s) for s in parts]
         for x, y in itertools.product((-PLATE[0] / 2, PLATE[0] / 2), (-PLATE[1] / 2, PLATE[1] / 2)):
             for piece in itertools.pairwise(line):
-                points += [Point3(x=x + sway, y=y, z=z) for sway, z in piece]
+                points += [(x + sway, y, z) for sway, z in piece]
     return points
 
 

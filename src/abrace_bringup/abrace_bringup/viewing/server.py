@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What Foxglove and Lichtblick connect to: topics with their messages, over a WebSocket, by Foxglove's SDK."""
+"""The server to which Foxglove and Lichtblick connect, by Foxglove's SDK: topics, with messages over a WebSocket."""
 
 from __future__ import annotations
 
@@ -12,17 +12,19 @@ from foxglove import Channel, Context, Schema
 from foxglove.messages import FrameTransforms, SceneUpdate
 from foxglove.websocket import Capability, ServerListener, StatusLevel
 
+from abrace_bringup.viewing.guard import hidden_address
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from foxglove.websocket import ChannelView, Client, Parameter, Service
 
     from abrace_bags import MessageDefinition
+    from abrace_bringup.viewing.guard import Guard
 
 CHANNELS, FRAMES, SCENE, NODES = "/view/channels", "/view/frames", "/view/scene", "/view/nodes"
-"""Topics that are made for viewers: named channels, where the floors are, columns and braces, states of the nodes."""
+"""Topics made for viewers: named channels; positions of the floors; columns and braces; states of the nodes."""
 NODES_SCHEMA = {
     "title": "abrace.Nodes",
     "type": "object",
@@ -35,31 +37,33 @@ NODES_SCHEMA = {
                     "name": {"type": "string"},
                     "level": {"type": "string", "description": "ok, error or stale"},
                     "state": {"type": "string"},
-                    "rate": {"type": "number", "description": "samples a second; null: it counts none"},
-                    "lost": {"type": "integer", "description": "samples or messages; null: it counts none"},
+                    "rate": {"type": "number", "description": "samples a second; null: the node takes no samples"},
+                    "lost": {"type": "integer", "description": "samples or messages; null: not counted by the node"},
                 },
             },
         }
     },
 }
 DESCRIPTION = "/robot_description"
-"""Where viewers look for a URDF by themselves."""
+"""Topic on which viewers expect a URDF."""
 
 
 class ViewServer:
-    """A server of topics; a context manager.
+    """A server of topics.
 
     Parameters
     ----------
     host, port
         Where it listens; port 0: any that is free.
     name
-        That viewers show.
+        Name of the server that viewers show.
+    guard
+        Listens in its place, and passes connections on to it from the call of `open_to` on; None: all may connect.
     capabilities
-        Beside topics.
+        Of the server in addition to topics.
     get_parameters, set_parameters
-        Called in a thread of the server's: the parameters of these names (all: none named), and what has been set of
-        those that a viewer sets.
+        Called in a thread of the server: return the parameters of these names (no name: all), and those that were
+        set of the ones that a viewer sets.
 
     Raises
     ------
@@ -72,16 +76,21 @@ class ViewServer:
         host: str,
         port: int,
         name: str,
+        guard: Guard | None = None,
         capabilities: Sequence[Capability] = (),
         get_parameters: Callable[[Sequence[str]], list[Parameter]] = lambda _: [],
         set_parameters: Callable[[Sequence[Parameter]], list[Parameter]] = lambda _: [],
     ) -> None:
         self._context = Context()
+        self._guard = guard
         self._channels: dict[str, Channel] = {}
         self._latched: dict[str, tuple[bytes, int]] = {}
         self._joined: set[str] = set()
         self._lock = threading.Lock()
         self._schema: dict[str, Any] = {}
+        if guard is not None:
+            host, port = hidden_address(), 0
+        self._host = host
         try:
             self._server = foxglove.start_server(
                 name=name,
@@ -100,8 +109,13 @@ class ViewServer:
 
     @property
     def port(self) -> int:
-        """The port on which it listens."""
-        return int(self._server.port)
+        """The port to which viewers connect."""
+        return int(self._server.port) if self._guard is None else self._guard.port
+
+    def open_to(self, origins: Collection[str]) -> None:
+        """Accept connections, where there is a guard; pages of these `origins` need no token."""
+        if self._guard is not None:
+            self._guard.open((self._host, int(self._server.port)), origins)
 
     @property
     def topics(self) -> set[str]:
@@ -109,12 +123,12 @@ class ViewServer:
         return set(self._channels)
 
     def offer(self, topic: str, definition: MessageDefinition) -> None:
-        """Have a `topic` whose messages are passed on as they come from the wire, of the type of that `definition`."""
+        """Offer a `topic` whose messages, of the type in `definition`, are passed on in CDR as received."""
         name = definition.type_name
         self._open(topic, "cdr", Schema(name=name, encoding="ros2msg", data=definition.text.encode()))
 
     def withdraw(self, topic: str) -> None:
-        """No longer have a `topic`."""
+        """Remove a `topic`."""
         self._channels.pop(topic).close()
         self._latched.pop(topic, None)
 
@@ -135,14 +149,14 @@ class ViewServer:
         time
             Of the message [ns].
         latched
-            Whether viewers that come later get it as well.
+            Whether viewers that subscribe later receive it as well.
         """
         if latched:
             self._latched[topic] = payload, time
         self._channels[topic].log(payload, log_time=time)
 
     def open_channels(self, schema: Mapping[str, Any]) -> None:
-        """Have the topic of named channels, of messages of this JSON `schema`; anew, where it has another one."""
+        """Open the topic of named channels with this JSON `schema`; open it again if the schema has changed."""
         if schema != self._schema:
             if self._schema:
                 self.withdraw(CHANNELS)
@@ -160,7 +174,7 @@ class ViewServer:
         self.send(topic, json.dumps(message).encode(), time, latched)
 
     def greet(self) -> None:
-        """Send latched messages to viewers that have come since the last time."""
+        """Send latched messages to viewers that have subscribed since the last call."""
         with self._lock:
             joined, self._joined = self._joined, set()
         for topic in joined & set(self._latched):
@@ -168,30 +182,32 @@ class ViewServer:
             self._channels[topic].log(payload, log_time=time)
 
     def begin_anew(self) -> None:
-        """Have viewers forget what they have: time steps back."""
+        """Clear what viewers have received, because time steps back."""
         self._server.clear_session()
 
     def tell_time(self, time: int) -> None:
-        """Tell viewers the `time` [ns] of what is played."""
+        """Send viewers the `time` [ns] of the bag that is played."""
         self._server.broadcast_time(time)
 
     def warn(self, text: str) -> None:
-        """Show viewers a warning; an empty `text` takes it back."""
+        """Show viewers a warning; an empty `text` removes it."""
         if text:
             self._server.publish_status(text, StatusLevel.Warning, id="abrace")
         else:
             self._server.remove_status(["abrace"])
 
     def add_services(self, services: list[Service]) -> None:
-        """Let viewers call `services`."""
+        """Offer `services` to viewers."""
         self._server.add_services(services)
 
     def remove_services(self, names: list[str]) -> None:
-        """No longer offer services of these `names`."""
+        """Remove the services of these `names`."""
         self._server.remove_services(names)
 
     def close(self) -> None:
         """Disconnect all viewers."""
+        if self._guard is not None:
+            self._guard.close()
         self._server.stop()
 
     def _open(self, topic: str, encoding: str, schema: Schema) -> None:

@@ -1,16 +1,18 @@
+// SPDX-License-Identifier: Apache-2.0
 // The operator's page: shows what the server sends ten times a second, answers each frame, sends what is pressed.
 "use strict";
 
 const WINDOW = 30; // s of traces
 const SILENT = 1000; // ms without a frame after which the connection is taken for lost
 const RETRY = 500; // ms between attempts to connect
+const GIVEN_UP = 3000; // ms of silence after which a connection is replaced by a new one
 const SURE = 4000; // ms within which a button is pressed again
 const COLOURS = ["#0b5fd0", "#c2410c", "#0b6b2e", "#7c3aed", "#b00020", "#0e7490", "#6b7280", "#a16207"];
 const REFUSED = 4401, FULL = 4429;
 
 const find = (id) => document.getElementById(id);
 const charts = {};
-let socket = null, rig = null, heard = 0, entered = false, refused = false;
+let socket = null, rig = null, heard = 0, begun = 0, entered = false, refused = false;
 let wanted = false; // STOP has been pressed here, and the server has not said yet that it stands
 let token = "";
 
@@ -25,6 +27,7 @@ if (location.hash) history.replaceState(null, "", location.pathname);
 function connect() {
   const opened = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
   socket = opened;
+  begun = performance.now();
   opened.onopen = () => opened.send(JSON.stringify({ token }));
   opened.onmessage = (event) => {
     if (opened !== socket) return;
@@ -84,6 +87,14 @@ function enter(hello) {
 
 // says loudly that what is shown is old, and that STOP does not reach the rig
 function watch(why = "") {
+  // a network that was cut closes no connection: STOP would wait for the old one for minutes
+  if (socket !== null && !refused && performance.now() - Math.max(heard, begun) > GIVEN_UP) {
+    const old = socket;
+    socket = null;
+    entered = false;
+    old.close();
+    connect();
+  }
   const lost = !connected();
   const alarm = find("alarm");
   document.querySelector("main").classList.toggle("old", lost);
