@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # abrace: see README.md. Everything below `setup` runs in the workspace's environment.
 SHELL := /bin/bash
 .ONESHELL:
@@ -6,7 +7,8 @@ SHELL := /bin/bash
 .PHONY: help setup same-ros tools demo docs reference lint test test-libraries test-sourced verify bench soak clean
 
 ENVIRONMENT := source ros2_ws/setup.bash
-TEST_LIBRARIES := python -m pytest --numprocesses auto --dist loadscope --ignore tests/graph
+# some tests wait: one more at a time than there are processors
+TEST_LIBRARIES := python -m pytest --numprocesses $$(( $$(nproc) + 1 )) --dist loadscope --ignore tests/graph
 PACKAGES := abrace_core abrace_bags abrace_plant abrace_sysid abrace_lqg abrace abrace_bringup
 # what a build copies or generates; Python modules are linked, edits to them need no build
 BUILT_FROM := $(shell find src -name package.xml -o -name 'setup.*' -o -name CMakeLists.txt -o -name '*.msg' \
@@ -65,11 +67,11 @@ lint: tools  ## ruff and mypy (its types are those of NumPy 2: not where ROS 2 i
 	ruff format --check .
 	[ -n "$(ROS_DISTRO)" ] || mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) $(wildcard src/*/scripts/*.py) $(wildcard docs/*.py) $(filter-out %.launch.py,$(filter-out %/test/%,$(wildcard examples/*/*/*.py))) benchmarks tests/support
 
-test: lint  ## lint and all tests: those of the libraries on all cores, then those of the graph, two files at a time
+test: lint  ## lint and all tests: those of the libraries on all cores, then those of the graph, three files at a time
 	@$(ENVIRONMENT)
 	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 	$(TEST_LIBRARIES)
-	python -m pytest --numprocesses 2 --dist loadfile tests/graph
+	python -m pytest --numprocesses 3 --dist loadfile tests/graph
 
 test-libraries: tools
 	@$(ENVIRONMENT)
@@ -91,7 +93,7 @@ bench: tools  ## speed claims beside their peers: results/bench.json
 	@$(ENVIRONMENT)
 	python benchmarks/bench.py
 
-soak: tools  ## long runs of the logger, ends of nodes and launches, 20 minutes: results/soak.json
+soak: tools  ## long runs of logger, viewer, operator's page and all nodes, some hours: results/soak.json
 	@$(ENVIRONMENT)
 	python benchmarks/soak.py
 

@@ -3,18 +3,22 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from bag_of_run import write_bag
 
 import abrace
+from abrace.benchmark import trade_off as trade_off_module
+from abrace.benchmark.comparison import Evaluation, worst_table
 from abrace.benchmark.criteria import peaks
 from abrace.benchmark.definition import DATA, benchmark_names, load_definition
 from abrace.benchmark.frame_benchmark import FrameBenchmark
-from abrace.benchmark.laws import designed, references
-from abrace.benchmark.recorded import of_tests, recorded
+from abrace.benchmark.laws import designed, margins_of, references
+from abrace.benchmark.recorded import of_tests, recorded, recorded_case
 from abrace.benchmark.sampled_loop import Converter, run_loops
 from abrace.benchmark_command import open_benchmark
 from abrace.cli import main
@@ -48,6 +52,17 @@ def test_the_sample_controller_reaches_what_an_independent_rebuild_found(twenty)
     row_g |= {"J10": 0.7293, "J11": 0.001848, "J12": 0.06858, "J13": 0.001133, "J14": 5.427e-5}
     row_g |= {"J15": 25, "J16": 5, "J17": 20}
     assert values == pytest.approx(row_g, rel=0.01)
+
+
+@needs_records
+def test_our_controller_is_no_worse_than_the_sample_at_no_more_force_and_has_margins(twenty):
+    laws = references(twenty)
+    sample, own = (Evaluation.of(name, twenty.evaluate(law), twenty.layout).worst() for name, law in laws.items())
+    for name in ("J1", "J2", "J3", "J4", "J5", "J6", "J11"):
+        assert own[name] <= sample[name], name
+    margins = margins_of(twenty, laws["abrace"])
+    assert margins["gain_margin_db"] >= 6.0
+    assert margins["disk_margin"] >= 0.3
 
 
 def test_frames_take_any_record_with_uncontrolled_values_of_their_own():
@@ -95,11 +110,53 @@ def test_a_recorded_test_gets_the_criteria_that_the_model_predicts(tmp_path):
     free, controlled = (
         abrace.simulate("ncree_three_storey", "el_centro", controller=one, **how) for one in (None, law)
     )
-    measured, _ = of_tests(benchmark, controlled, free)
-    for name in ("J1", "J2", "J3", "J4", "J5", "J6", "J11", "J12", "J13", "J14", "J15"):
-        assert measured[name] == pytest.approx(predicted[name], rel=0.05), name
+    measured, _ = of_tests(benchmark, controlled, free, law.law)
+    assert list(measured) == list(predicted)
+    for name, value in measured.items():
+        assert value == pytest.approx(predicted[name], rel=0.05), name
+    assert not {"J16", "J17"} & set(of_tests(benchmark, controlled, free)[0]), "the law is not known"
     with pytest.raises(AbraceError, match="5 floors and 2 brace groups, expected those of small: 3 and 1"):
         recorded(benchmark, abrace.simulate("five_storey", "el_centro", duration=1.0))
+
+
+def test_curvatures_of_a_frame_come_from_the_displacements_of_a_recorded_test():
+    benchmark = open_benchmark("sac_la_20", ["el_centro"])
+    law = references(benchmark)["abrace"]
+    how = {"peak_acceleration": 1.5, "duration": 20.0}
+    free, controlled = (abrace.simulate("sac_la_20", "el_centro", controller=one, **how) for one in (None, law))
+    measured, _ = of_tests(benchmark, controlled, free)
+    ((exact, _),) = benchmark.evaluate(law, [recorded_case(benchmark, controlled, "shaken")]).values()
+    for name in ("J7", "J10"):
+        assert measured[name] == pytest.approx(exact[name], rel=0.02), name
+    with pytest.raises(AbraceError, match=r"sampled every 0\.002 s, expected the 0\.01 s of sac_la_20"):
+        recorded_case(benchmark, replace(controlled, sample_period=0.002), "shaken")
+
+
+def test_a_bag_stands_beside_the_controllers_under_the_motion_of_its_table(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    path = small(tmp_path)
+    law = references(open_benchmark(str(path)))["lqg3"]
+    save_controller(law, Path("mine.yaml"))
+    how = {"peak_acceleration": 1.2, "duration": 4.0}
+    for name, one in (("free", None), ("controlled", law)):
+        run = abrace.simulate("ncree_three_storey", "el_centro", controller=one, **how)
+        write_bag(replace(run, facts={"controller": "mine" if one else ""}), name)
+    bags = ["--bag", "controlled", "--uncontrolled", "free"]
+    assert main(["benchmark", str(path), *bags, "--controller", "mine.yaml"]) == 0
+    assert "wrote results/benchmark/small/report.html" in capsys.readouterr().out
+    content = json.loads(Path("results/benchmark/small/criteria.json").read_text())
+    assert list(content) == ["recorded", "mine", "lqg1", "lqg3"]
+    assert {tuple(one["cases"]) for one in content.values()} == {("controlled",)}
+    reached, predicted = (content[name]["cases"]["controlled"] for name in ("recorded", "mine"))
+    assert list(reached) == list(predicted)
+    for name, value in reached.items():
+        assert value == pytest.approx(predicted[name], rel=0.05), name
+    assert Path("results/benchmark/small/profile_1.png").is_file()
+    assert main(["benchmark", str(path), *bags]) == 0
+    content = json.loads(Path("results/benchmark/small/criteria.json").read_text())
+    assert "J17" not in content["recorded"]["cases"]["controlled"], "the controller's file was not given"
+    assert main(["benchmark", str(path), *bags, "--controller", "a/b"]) == 2
+    assert "--controller a/b: a node, given with --bag, expected controller files" in capsys.readouterr().err
 
 
 def test_the_command_writes_tables_figures_and_a_page_and_exports(tmp_path, monkeypatch, capsys):
@@ -127,6 +184,116 @@ def test_the_command_writes_tables_figures_and_a_page_and_exports(tmp_path, monk
     assert {"lqg1.yaml", "lqg1.mat", "ground_1.csv", "model.mat", "discrete.mat"} <= exported
 
 
+def test_the_table_of_lqg1_to_lqg5_in_the_documentation_is_what_the_benchmark_gives():
+    benchmark = open_benchmark("ncree_three_storey")
+    found = [
+        Evaluation.of(name, benchmark.evaluate(law), benchmark.layout, margins_of(benchmark, law))
+        for name, law in references(benchmark).items()
+    ]
+    table = worst_table("", found)
+    page = (Path(__file__).parents[2] / "docs/benchmarks.md").read_text(encoding="utf-8")
+    written = page.partition("| " + " | ".join(table.header) + " |\n")[2].splitlines()[1:]
+    assert len(table.rows) == 16
+    for line, (label, *values) in zip(written, table.rows, strict=False):
+        shown, *cells = (cell.strip() for cell in line.strip("|").split("|"))
+        assert shown == label
+        assert [float(cell) for cell in cells] == pytest.approx([float(value) for value in values], rel=0.005), label
+
+
+def record(path: Path, peak: float) -> Path:
+    """A record of four seconds."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    time = np.arange(0, 4.0, 0.02)
+    np.savetxt(path, np.column_stack([time, peak * np.sin(9 * time)]), "%.6g", ",", header="t,a [m/s^2]", comments="")
+    return path
+
+
+@pytest.mark.parametrize("name", ["ncree_three_storey", "sac_la_3"])
+def test_records_of_one_name_are_refused_as_their_results_would_be_mixed(name, tmp_path):
+    one, other = (str(record(tmp_path / folder / "ns.csv", 1.0)) for folder in ("kobe", "chichi"))
+    with pytest.raises(AbraceError, match=f"records {one} and {other}: both cases are named ns "):
+        open_benchmark(name, [one, other])
+    assert len(open_benchmark(name, [one, "el_centro"]).definition.cases) == 2
+
+
+def test_controllers_named_like_others_are_told_apart(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    path = small(tmp_path)
+    laws = references(open_benchmark(str(path)))
+    files = ["lqg3.yaml", "a/mine.yaml", "b/mine.yaml"]
+    for file, law in zip(files, ("lqg1", "lqg1", "lqg3"), strict=True):
+        Path(file).parent.mkdir(exist_ok=True)
+        save_controller(laws[law], Path(file))
+    given = [argument for file in files for argument in ("--controller", file)]
+    assert main(["benchmark", str(path), *given]) == 0
+    content = json.loads((tmp_path / "results/benchmark/small/criteria.json").read_text())
+    assert list(content) == ["lqg3 (lqg3.yaml)", "mine (a/mine.yaml)", "mine (b/mine.yaml)", "lqg1", "lqg3"]
+    assert content["lqg3 (lqg3.yaml)"]["cases"] == content["lqg1"]["cases"]
+    assert content["mine (b/mine.yaml)"]["cases"] == content["lqg3"]["cases"]
+    capsys.readouterr()
+    assert main(["benchmark", str(path), "--controller", "lqg3.yaml", "--controller", "lqg3.yaml"]) == 2
+    assert "--controller: lqg3 (lqg3.yaml) twice, expected each controller once" in capsys.readouterr().err
+
+
+def test_the_trade_off_takes_the_reference_and_not_a_file_named_like_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(trade_off_module, "FACTORS", np.array([1.0]))
+    drawn = []
+    draw = trade_off_module.trade_off_figure
+    monkeypatch.setattr(
+        trade_off_module, "trade_off_figure", lambda *given: drawn.append((given[2], draw(*given))) or drawn[-1][1]
+    )
+    path = str(record(tmp_path / "short.csv", 1.0))
+    benchmark = open_benchmark("sac_la_3", [path])
+    save_controller(designed(benchmark, "sac_la_3"), tmp_path / "sample.yaml")
+    assert main(["benchmark", "sac_la_3", "--record", path, "--controller", "sample.yaml", "--trade-off"]) == 0
+    ((sample, _),) = drawn
+    content = json.loads((tmp_path / "results/benchmark/sac_la_3/criteria.json").read_text())
+    assert list(content) == ["sample (sample.yaml)", "sample", "abrace"]
+    assert sample.cases == content["sample"]["cases"] != content["sample (sample.yaml)"]["cases"]
+
+
+def test_the_trade_off_leaves_out_loops_without_margins_as_they_are_not_stable(tmp_path, monkeypatch):
+    monkeypatch.setattr(trade_off_module, "FACTORS", np.array([4.0, 1.0]))
+    benchmark = open_benchmark("sac_la_3", [str(record(tmp_path / "short.csv", 1.0))])
+    tried = trade_off_module.trade_off(benchmark)
+    assert [one.name for one in tried] == ["commands x 4", "commands x 1"]
+    margins = tried[0].margins
+    unstable = replace(tried[1], margins={})
+    figure = trade_off_module.trade_off_figure(benchmark, tried, unstable)
+    crosses = [[line for line in axis.lines if line.get_marker() == "x"] for axis in figure.axes]
+    assert [len(each) for each in crosses] == [6, 0, 0], "expected crosses of J1 to J6 alone"
+    monkeypatch.setattr(trade_off_module, "margins_of", lambda _, law: {} if law is laws[0] else margins)
+    laws = []
+    monkeypatch.setattr(trade_off_module, "designed", lambda *given: laws.append(designed(*given)) or laws[-1])
+    assert [one.name for one in trade_off_module.trade_off(benchmark)] == ["commands x 1"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"duration": 4.5}, "number of samples 2000 and 2250"),
+        ({"peak_acceleration": 0.7}, r"peak table acceleration \[m/s\^2\] 0.98\d* and 0.70"),
+        ({"record": "noise"}, r"rms table acceleration \[m/s\^2\]"),
+        ({"sample_period": 0.00201}, r"sample period \[s\] 0.002 and 0.00201"),
+    ],
+)
+def test_recorded_tests_of_different_motions_are_refused(change, message, tmp_path):
+    benchmark = open_benchmark(str(small(tmp_path)))
+    how = {"peak_acceleration": 0.980665, "duration": 4.0}
+    one = replace(abrace.simulate("ncree_three_storey", "el_centro", **how), source="one")
+    if "sample_period" in change or "record" in change:
+        ground = 0.98 * np.sign(one.ground_acceleration) if "record" in change else one.ground_acceleration
+        other = replace(one, sample_period=change.get("sample_period", 0.002), ground_acceleration=ground)
+    else:
+        other = abrace.simulate("ncree_three_storey", "el_centro", **how | change)
+    other = replace(other, source="other")
+    with pytest.raises(
+        AbraceError, match=f"one and other: {message}.*expected tests with the same motion of the table"
+    ):
+        of_tests(benchmark, one, other)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -134,8 +301,14 @@ def test_the_command_writes_tables_figures_and_a_page_and_exports(tmp_path, monk
         (["sac_la_3", "--record", "none.csv"], f"none.csv: not shipped, expected {DATA}"),
         (["ncree_three_storey", "--bag", "b"], "--bag and --uncontrolled, expected both or neither"),
         (["ncree_three_storey", "--noise", "1"], "--noise: given with a rig"),
+        (["sac_la_20", "--bag", "b", "--uncontrolled", "c", "--trade-off"], "--trade-off: given with --bag, expected"),
+        (["ncree_three_storey", "--trade-off"], "--trade-off: given with a rig, expected a benchmark of a frame"),
         (["sac_la_3", "--noise", "-1"], "--noise: -1, expected a seed from 0 on"),
-        (["sac_la_3", "--record", "el_centro", "--controller", "a/b"], "a node, expected a benchmark of a rig"),
+        (
+            ["sac_la_3", "--record", "el_centro", "--controller", "a/b"],
+            "expected a benchmark of a rig, or of a frame with",
+        ),
+        (["sac_la_20", "--bag", "b", "--uncontrolled", "c", "--record", "el_centro"], "--record: given with --bag"),
         (["ncree_three_storey", "--controller", "none.yaml"], "none.yaml"),
     ],
 )

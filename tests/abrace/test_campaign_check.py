@@ -12,11 +12,13 @@ from abrace.campaign.forecast import Peak
 from abrace.campaign.plan import Plan, check_campaign
 from abrace.campaign.tasks import Compare
 from abrace.cli import main
+from abrace_core.errors import AbraceError
 from abrace_core.linear_model import save_model
 from abrace_core.node import find_file
 from abrace_plant.rig.file import load_rig
 
 DEMO = Path(__file__).parents[2] / "src/abrace/campaigns/demo.yaml"
+NOISE = "rms: RMS, band: [0.3, 20.0], seed: 1"
 EL_CENTRO = "{record: el_centro, peak_acceleration: 0.980665}"
 
 
@@ -63,6 +65,52 @@ def test_everything_that_is_wrong_is_told_before_the_first_test(tmp_path: Path) 
     assert len(found) == len(expected), found
     for line, start in zip(found, expected, strict=True):
         assert line.startswith(start), f"{line}, expected {start}"
+
+
+def test_identification_tests_that_cannot_be_used_together_are_told_before_the_first(tmp_path: Path) -> None:
+    multisine = "rms: RMS, band: [0.3, 20.0], seed: 1, period: PERIOD, lines: LINES"
+
+    def both(name: str, lines: str = "even", period: float = 16.384, rms: str = "900.0") -> str:
+        table = multisine.replace("RMS", "0.1").replace("PERIOD", "16.384").replace("LINES", "odd")
+        braces = multisine.replace("RMS", rms).replace("PERIOD", str(period)).replace("LINES", lines)
+        drives = f"ground_motion: {{record: multisine, {table}}}, excitation: {{signal: multisine, {braces}}}"
+        return f"{{name: {name}, test: {{duration: 73.0, {drives}}}}}"
+
+    def pushed(name: str, rms: str, signal: str = "white_noise") -> str:
+        noise = NOISE.replace("RMS", rms)
+        return f"{{name: {name}, test: {{duration: 73.0, excitation: {{signal: {signal}, {noise}}}}}}}"
+
+    noise = NOISE.replace("RMS", "0.1")
+    table = f"{{name: w, test: {{duration: 73.0, ground_motion: {{record: white_noise, {noise}}}}}}}"
+    top = TOP.replace("rig: ncree_three_storey", "rig: five_storey")
+    assert top != TOP
+
+    def said(table_tests: str, command_tests: str, *steps: str) -> list[str]:
+        identify = f"{{name: model, identify: {{table: {table_tests}, command: {command_tests}}}}}"
+        try:
+            checked(tmp_path, *steps, identify, top=top)
+        except AbraceError as error:
+            return [line.partition("step model: identify.")[2] for line in str(error).splitlines() if "model" in line]
+        return []
+
+    assert said("both", "both", both("both")) == []
+    (found,) = said("both", "both", both("both", lines="odd"))
+    assert found.startswith("table: both has odd lines on the table and odd lines on the braces, expected odd ones on")
+    (found,) = said("both", "both", both("both", lines="all"))
+    assert found.startswith("table: both has odd lines on the table and all lines on the braces")
+    (found,) = said("both", "both", both("both", period=8.192))
+    assert found == "table: both has multisines of 16.384 and 8.192 s, expected one period"
+    alone = (table, pushed("one", "[900.0, 0.0]"), pushed("two", "[0, 900]"))
+    assert said("w", "[one, two]", *alone) == []
+    assert said("w", "one", *alone) == ["command: no test drives brace group 2, expected one of every group"]
+    (found,) = said("w", "[one, three]", *alone[:2], pushed("three", "900.0"))
+    assert found.startswith("command: brace group 1 is driven with other groups in three than in one, expected")
+    (found,) = said("w", "[three, four]", table, pushed("three", "900.0"), pushed("four", "900.0", "multisine"))
+    assert found == "command: some of three, four are noise and some multisines, expected one kind"
+    (found,) = problems(tmp_path, pushed("one", "[9.0, 9.0, 9.0]"), top=top)
+    assert "test.excitation: rms [9.0, 9.0, 9.0] N: expected one value for all brace groups, or one for each" in found
+    (found,) = problems(tmp_path, pushed("one", "[0.0, 0.0]"), top=top)
+    assert "test.excitation.rms: [0.0, 0.0], expected one number for all brace groups or one for each" in found
 
 
 @pytest.mark.parametrize(

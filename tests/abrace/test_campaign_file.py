@@ -172,6 +172,9 @@ MISTAKES = [
     ("lockstep: true", "thread_priority: 99", "thread_priority: 99, expected .*98"),
     ("lockstep: true", "lockstep: 1", "lockstep: 1, expected true or false"),
     ("name: demo", "name: ../demo", "name: '../demo', expected .*letters, digits"),
+    ("name: demo", "name: day-1", "name: 'day-1', expected .*it is the ROS namespace"),
+    ("name: demo", "name: '2026_11_23'", "name: '2026_11_23', expected .*a letter first"),
+    ("name: demo", "name: day__1", "name: 'day__1', expected .*single _"),
     ("name: demo", "nome: demo", "nome: unknown key"),
     ("name: demo\n", "", "name: key is missing"),
     ("rig: ncree_three_storey", "rig: ''", "rig: '', expected .*at least 1"),
@@ -205,7 +208,7 @@ MISTAKES = [
     (", seed: 1}", "}", r"step table_noise: test.ground_motion.seed: key is missing"),
     ("[0.1, 10.0]", "[10.0, 0.1]", r"ground_motion.band: \[10.0, 0.1\], expected .*the lower one first"),
     ("[0.0, 30.0]", "[0.0]", "step command_noise: test.excitation.band.1: key is missing"),
-    ("rms: 1800.0", "rms: -1.0", "step command_noise: test.excitation.rms: -1.0, expected"),
+    ("rms: 1800.0", "rms: -1.0", "step command_noise: test.excitation.rms: -1.0, expected one number for all"),
     (
         "{record: white_noise, rms: 0.25",
         "{record: el_centro, rms: 0.25",
@@ -395,3 +398,17 @@ def test_a_test_is_made_from_the_frame_file_that_its_rig_names(tmp_path):
     frame.write_text(frame.read_text() + "# changed\n")
     after = inputs.of(0, {})
     assert [name for name in before if before[name] != after[name]] == [f"file {frame}"]
+
+
+def test_a_controller_is_designed_again_when_the_model_in_the_folder_has_changed(tmp_path):
+    folder, path = tmp_path / "model", tmp_path / "campaign.yaml"
+    folder.mkdir()
+    for name in ("model", "reduced"):
+        (folder / f"{name}.json").write_text("{}")
+    path.write_text("name: own\nrig: ncree_three_storey\nsteps: [{name: sky, design: {model: ./model, weights: lqg3}}]")
+    campaign = load_campaign(path)
+    inputs = Inputs(campaign, Laboratories(campaign))
+    before = inputs.of(0, {})
+    (folder / "reduced.json").write_text("[]")
+    after = inputs.of(0, {})
+    assert [Path(name).name for name in before if before[name] != after[name]] == ["reduced.json"]

@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 import subprocess
+import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from rehearsal import Cause, controller, rehearse
 
 import abrace
 from abrace.cli import main
 from abrace.interactive.exploration import Explored
+from abrace.interactive.fragility import ground_motions
 from abrace_core.controller_file import Controller, save_controller
 from abrace_core.installed import find_file
 from abrace_core.linear_model import LinearModel, save_model
@@ -29,8 +32,8 @@ RIG = "ncree_three_storey"
 def evaluated(name: str) -> Outcome:
     """LQG3 tried on a rig."""
     rig = abrace.load_rig(name)
-    motions = [noise_motion(1, 4.0, (0.1, 10.0), PERIOD).scaled(1.0)]
-    study = Study.of(rig.model, rig.model, motions, capacity=rig.capacity, sample_period=PERIOD)
+    motions = [noise_motion(1, 4.0, (0.1, 10.0), PERIOD)]
+    study = Study.of(rig.model, [rig.model], motions, intensities=[1.0], capacity=rig.capacity, sample_period=PERIOD)
     return evaluate(study, 0, load_weights(find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights")))
 
 
@@ -85,11 +88,29 @@ def test_sets_of_weights_are_explored_on_a_rig(tmp_path):
         abrace.explore(RIG, "lqg3", scheduler="tcp://127.0.0.1:1", **given)
     with pytest.raises(abrace.AbraceError, match="no records"):
         abrace.explore(RIG, "lqg3", **given | {"noise": []})
+    with pytest.raises(abrace.AbraceError, match="models 5: ncree_three_storey has no covariance"):
+        abrace.explore(RIG, "lqg3", models=5, **given)
     outcome = evaluated(RIG)
-    found = Explored((outcome,))
+    found = Explored((outcome,), 0.9)
     assert repr(found) == "<Explored: 1 sets of weights, 0 without a controller>"
     assert found.to_pandas().loc[0, "command [N]"] == outcome.command.rms
+    assert found.to_pandas().loc[0, "rank"] == 1
     assert found.plot().axes
+    assert found.plot("robust").axes
+    with pytest.raises(abrace.AbraceError, match="figure 'x' of an exploration: expected trade_off or robust"):
+        found.plot("x")
+
+
+def test_interlocks_of_the_rig_act_in_an_exploration(monkeypatch):
+    from abrace.interactive import exploration as interactive
+
+    seen = []
+    monkeypatch.setattr(interactive, "run_exploration", lambda study, *_, **__: seen.append(study) or [])
+    abrace.explore(RIG, noise=[1], noise_duration=4.0, peak_acceleration=[1.0, 3.0], faults={"a1": -1.0}, rig=RIG)
+    (study,) = seen
+    assert study.count == 2 * 2
+    outcome = evaluate(study, 0, load_weights(find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights")))
+    assert 0 < outcome.interlocked < 4, "a reversed accelerometer should have been found implausible"
 
 
 @pytest.mark.parametrize(
@@ -113,6 +134,43 @@ def test_what_is_wrong_is_one_line_and_nothing_is_written(change, expected, tmp_
     assert expected in errors
     assert len(errors.splitlines()) == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_interlocks_of_quantities_that_the_model_lacks_are_left_out_with_a_warning(damper, tmp_path):
+    given = {
+        "limits": {"x1": 0.01},
+        "intensities": [1.0],
+        "noise": [1],
+        "noise_duration": 2.0,
+        "rig": RIG,
+        "workers": 1,
+    }
+    whole = abrace.load_rig(RIG).model
+    second_left_out = whole.select([name for name in whole.outputs if name != "x2"])
+    with pytest.warns(UserWarning, match="no interlocks of d2, d3, x2, which the model does not have") as seen:
+        found = abrace.fragility(second_left_out, [damper], folder=tmp_path / "left_out", **given)
+    assert [warning.filename for warning in seen] == [__file__]
+    assert len(found.loops()) == 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        abrace.fragility(whole, [damper], folder=tmp_path / "whole", **given)
+
+
+@pytest.mark.parametrize(("factor", "fault"), [(-1.0, None), (0.0, "a1=zero")])
+def test_the_interlock_that_finds_a_failing_sensor_is_that_of_the_rig_itself(factor, fault, tmp_path):
+    rig = abrace.load_rig(RIG)
+    law = controller(rig, load_weights(find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights")))
+    ((_, ground),) = ground_motions([], [1], 8.0, PERIOD)
+    ground *= 1.0 / np.abs(ground).max()
+    tamper = None if fault else lambda reading: reading.__setitem__(4, factor * reading[4])
+    lived = rehearse(rig, ground, law=law, cause=Cause(fault=fault or "", tamper=tamper))
+    given = {"noise": [1], "noise_duration": 8.0, "intensities": [1.0], "limits": {"d1": 0.01}}
+    found = abrace.fragility(RIG, [law], faults={"a1": factor}, rig=rig, folder=tmp_path, workers=1, **given)
+    loops = found.loops().set_index("fault")
+    assert loops.loc["none", "interlock"].tolist() == ["none", "none"]
+    row = loops.loc[f"a1={factor:g}"]
+    assert row.interlock == (lived.trip.name if lived.trip.interlock != "stuck" else "stuck")
+    assert row.trip_time == pytest.approx(lived.time, abs=0.02)
 
 
 def test_models_are_drawn_from_the_covariance_in_the_model_file(tmp_path, monkeypatch):

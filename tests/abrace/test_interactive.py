@@ -143,6 +143,18 @@ def test_a_model_simulates_what_the_rig_does_without_its_noise(notebook, tmp_pat
     assert saved.to_pandas().equals(check.to_pandas()), "the folder of the results is as good as the object"
 
 
+def test_a_folder_of_results_is_designed_with_as_the_identification_is(notebook, tmp_path):
+    found = notebook["found"]
+    folder = Path(found.save(tmp_path / "model"))
+    of_folder, of_object = (abrace.design(each, "lqg3") for each in (folder, found))
+    assert repr(of_folder.proof) == repr(of_object.proof)
+    validity = json.loads((folder / "validity.json").read_text())
+    (folder / "validity.json").write_text(json.dumps(validity | {"verdict": "don't trust", "causes": ["wrong unit"]}))
+    for given in (folder, folder / "reduced.json"):
+        with pytest.raises(abrace.AbraceError, match=r"says don't trust \(wrong unit\)"):
+            abrace.design(given, "lqg3")
+
+
 def test_models_of_python_control_are_taken(notebook):
     found, quake = notebook["found"], notebook["controlled"]
     model = abrace.load_rig(RIG).model.to_control()
@@ -188,7 +200,7 @@ SHORT = {"record": "el_centro", "peak_acceleration": 0.98, "duration": 1.0}
         (lambda: abrace.design(abrace.load_rig(RIG), "lqg9"), "weights 'lqg9': unknown, expected a file"),
         (
             lambda: abrace.design(abrace.load_rig(RIG).model.select(inputs=["w", "U"]).to_control()),
-            "expected rig (its name or file), or force_limit [N] and sample_period [s]",
+            "design: sample_period: not given, and the model's file does not have it, expected s; or give the rig",
         ),
         (lambda: abrace.validate("nowhere", RIG), "nowhere: "),
         (lambda: abrace.validate(abrace.simulate(RIG, **SHORT), 3), "model 3: expected a model, a file (.json)"),

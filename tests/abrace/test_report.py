@@ -318,6 +318,59 @@ def test_several_controllers_are_set_beside_each_other(tmp_path):
     ]
 
 
+def test_controllers_stand_beside_their_own_test_without_control(tmp_path):
+    results = with_two_controllers()
+    results["first/comparison.json"]["uncontrolled"] = as_rows(TABLE_1_EXPERIMENT, 8.8)
+    third = json.loads(json.dumps(results["check/comparison.json"]))
+    third["test"]["controller"], third["measured"] = "skyhook", as_rows(TABLE_1_EXPERIMENT, 3.3)
+    results["timing.json"]["steps"].append({"name": "third", "wall_seconds": 1.0})
+    text, _ = reported(tmp_path, {**results, "third/comparison.json": third})
+    title = "All controllers, el_centro at 0.1 g, {}: {}"
+    assert row(text, title.format("first", "peak"), "x1 [cm]") == ["x1 [cm]", "9.715", "2.429"]
+    assert row(text, title.format("first", "reduction of rms"), "a3") == ["a3", "75.0"], "2.2 of 8.8"
+    assert row(text, title.format("check, third", "peak"), "x1 [cm]") == ["x1 [cm]", "4.858", "1.214", "3.643"]
+    assert row(text, title.format("check, third", "reduction of peak"), "a3") == ["a3", "75.0", "25.0"]
+    assert text.count("All controllers") == 8, "peak, rms and their reductions, twice"
+
+
+@pytest.mark.parametrize("controllers", [1, 2])
+def test_controllers_on_different_rigs_are_in_different_tables(tmp_path, controllers):
+    results = with_two_controllers()
+    other = json.loads(json.dumps(results["first/comparison.json"]))
+    other["test"]["rig"] = "five_storey"
+    for key in ("measured", "simulated", "uncontrolled"):
+        rows = other[key]
+        other[key] = {"x1": rows["x1"], "x4": {"peak": 2.0, "rms": 1.0}, "U": rows["U"]}
+    other |= {"simulated_vs_measured": {}, "other_models": {}}
+    for number in range(controllers):
+        results["timing.json"]["steps"].append({"name": f"other_{number}", "wall_seconds": 1.0})
+        results[f"other_{number}/comparison.json"] = other
+    text, _ = reported(tmp_path, results)
+    rig = f", rig {PAPER_RIG}" if controllers > 1 else ""
+    title = "All controllers, el_centro at 0.1 g"
+    assert row(text, f"{title}{rig}: reduction of peak", "x1") == ["x1", "50.0", "75.0"]
+    if controllers > 1:
+        assert row(text, f"{title}, rig five_storey: reduction of peak", "x4") == ["x4", "0.0", "0.0"]
+    assert text.count("All controllers") == 4 * controllers, "one controller on a rig has no table"
+
+
+def test_models_that_a_test_was_not_compared_with_have_a_dash(tmp_path):
+    results = with_two_controllers()
+    models = results["check/comparison.json"]["other_models"]
+    results["check/comparison.json"]["other_models"] = {"full": models["reduced"], **models}
+    results["first/comparison.json"]["other_models"] = {"frame": models["reduced"] | {"peak_rms_error": 0.056}}
+    title = "Simulated against measured, every test"
+    text, _ = reported(tmp_path, results)
+    section = next(section for section in text.split("\n\n") if section.startswith(title))
+    assert re.search(r"mean, frame % +mean, full % +mean, reduced %", section)
+    assert row(text, title, "first")[-3:] == ["5.60", "-", "-"]
+    assert row(text, title, "check")[-3:] == ["-", "3.40", "3.40"]
+    results["first/comparison.json"]["other_models"] = {}
+    text, _ = reported(tmp_path, results)
+    assert row(text, title, "first")[-2:] == ["-", "-"]
+    assert row(text, title, "check")[-2:] == ["3.40", "3.40"]
+
+
 @pytest.mark.parametrize("name", ["poles.json", "check/comparison.json", "timing.json"])
 @pytest.mark.parametrize(
     ("content", "message"),

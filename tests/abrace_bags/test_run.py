@@ -56,6 +56,8 @@ def test_run_is_the_bag_with_named_channels(tmp_path: Path) -> None:
     run = read_run(write(tmp_path / "bag", [response(k) for k in range(7, 12)], facts))
     assert run.names == ("x1", "x2", "xf1", "xf2", "a1", "a2", "f1", "f2")
     np.testing.assert_allclose(run.outputs[0], np.array([10, 11, 30, 31, 20, 21, 40, 41]) + 0.007, rtol=1e-15)
+    assert run.forces is not None
+    np.testing.assert_allclose(run.forces[0], np.array([40, 40.75, 41.25]) + 0.007, rtol=1e-15)
     np.testing.assert_allclose(run.command[:, 1], 51 + np.arange(7, 12) / 1000, rtol=1e-15)
     np.testing.assert_array_equal(run.ground_acceleration, np.arange(7, 12) / 1000)
     np.testing.assert_array_equal(run.sequence, np.arange(7, 12))

@@ -62,6 +62,15 @@ def test_the_citation_has_the_version_and_the_licence_of_the_packages():
     assert {"cff-version", "message", "title", "authors"} <= set(citation)
 
 
+def test_the_citation_names_the_paper_as_the_references_do():
+    (paper,) = yaml.safe_load((ROOT / "CITATION.cff").read_text())["references"]
+    assert {"type", "title", "authors"} <= set(paper), "keys that the format asks for"
+    text = " ".join((ROOT / "docs/references.md").read_text().split())
+    assert f"*{paper['title']}.*" in text
+    assert "NSC88-2211-E032-002" in paper["notes"]
+    assert paper["url"].removeprefix("http://") in text
+
+
 LIBRARIES = [
     path
     for package in ("abrace_core", "abrace_bags", "abrace_plant", "abrace_sysid", "abrace_lqg", "abrace")

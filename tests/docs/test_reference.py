@@ -13,6 +13,7 @@ from documents import GENERATED, ROOT
 
 import abrace
 from abrace_core.config_file import Checked
+from abrace_core.errors import AbraceError
 from abrace_core.safety.rig_safety import State
 
 SOURCES = write_errors.sources()
@@ -104,6 +105,20 @@ def test_every_key_of_every_file_is_in_the_reference():
     assert not keys - listed
 
 
+def test_every_key_of_every_file_has_a_meaning_and_no_meaning_is_left_over():
+    files = (*write_files.WRITTEN_BY_PEOPLE, *write_files.WRITTEN_BY_ABRACE)
+    keys = [
+        (each.title, row.key) for each in files for at, of in each.schemas.items() for row in write_files.rows(of, at)
+    ]
+    used = {write_files.entry(title, key) for title, key in keys}  # raises where there is none
+    given = {(heading, key): phrase for heading, part in write_files.meanings().items() for key, phrase in part.items()}
+    assert len(keys) > 300
+    assert not set(given) - used, "meanings of keys that there are not"
+    assert not [place for place, phrase in given.items() if len(phrase) < 6 or "|" in phrase]
+    with pytest.raises(AbraceError, match="Rig file: sample_rtae: no meaning"):
+        write_files.entry("Rig file", "sample_rtae")
+
+
 def test_every_key_that_people_write_is_explained_on_a_page():
     """In backticks, on a page that is no list made from the code."""
     pages = [path for path in (ROOT / "docs").glob("*.md") if path.stem not in GENERATED]
@@ -137,7 +152,7 @@ def test_every_name_of_import_abrace_and_every_package_is_in_the_reference():
         assert re.search(rf"\b{name}\b", page("python")), name
     packages = (ROOT / "docs/packages.rst").read_text()
     for folder in (ROOT / "src").glob("*/*/__init__.py"):
-        if folder.parent.name != "launch" and not folder.parent.name.endswith("_bringup"):
+        if folder.parent.name != "launch":
             assert re.search(rf"^   {folder.parent.name}$", packages, re.MULTILINE), folder
 
 

@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from ament_index_python.packages import get_package_share_directory
@@ -21,6 +22,7 @@ from abrace_plant.rig.file import load_rig, recorded_rig
 
 SKYHOOK = Path(__file__).parents[2] / "examples/skyhook/skyhook/skyhook.py"
 NOISE = "{record: white_noise, rms: 0.25, band: [0.1, 10.0], seed: 1}"
+EL_CENTRO = "{record: el_centro, peak_acceleration: 0.98}"
 SHORT = (
     f"{{name: shaken, test: {{duration: 4.0, ground_motion: {NOISE}}}}}",
     "{name: pushed, test: {duration: 10.0, excitation: {rms: 1000.0, band: [0.0, 30.0], seed: 2}}}",
@@ -183,19 +185,27 @@ def test_a_law_and_a_rig_of_ones_own_run_in_a_campaign_and_the_law_is_in_its_tab
     assert 500 <= watched.log_time.size < 3000, "a rig that does not end by itself is ended"
 
 
-def test_multisines_on_table_and_command_at_once_give_a_model(tmp_path, environment):
+def test_multisines_on_table_and_two_brace_groups_at_once_give_a_model_and_a_controller_of_both(tmp_path, environment):
     both = """{duration: 73.0,
-      ground_motion: {record: multisine, rms: 0.25, band: [0.3, 10.0], seed: 1, period: 16.384},
-      excitation: {signal: multisine, rms: 1800.0, band: [0.3, 30.0], seed: 1, period: 16.384, lines: even}}"""
+      ground_motion: {record: multisine, rms: 0.25, band: [0.3, 25.0], seed: 1, period: 16.384},
+      excitation:
+        {signal: multisine, rms: [3500.0, 7000.0], band: [0.3, 30.0], seed: 1, period: 16.384, lines: even}}"""
     path = campaign(
         tmp_path,
         f"{{name: both, test: {both}}}",
         "{name: model, identify: {table: both, command: both}}",
-        "{name: check, validate: {test: both, model: model}}",
+        "{name: half, design: {model: model, weights: half}}",
+        f"{{name: quake, test: {{duration: 6.0, ground_motion: {EL_CENTRO}, controller: half}}}}",
+        "{name: check, validate: {test: quake, model: model, controller: half}}",
     )
+    path.write_text(path.read_text().replace("ncree_three_storey", "five_storey"))
     process = start(tmp_path, environment, "campaign", str(path))
-    _, errors = process.communicate(timeout=120)
+    _, errors = process.communicate(timeout=200)
     assert process.returncode == 0, errors
+    (bags,) = (tmp_path / "bags/short").iterdir()
+    commands = read_run(bags / "both").command
+    moved = np.abs(commands).max(axis=1) > 0
+    assert np.sqrt(np.mean(commands[moved] ** 2, axis=0)) == pytest.approx([3500.0, 7000.0], rel=0.01)
     summary = json.loads((tmp_path / "results/short/summary.json").read_text())
     for test in ("table", "command"):
         error = summary["poles"][test]["largest_relative_error"]

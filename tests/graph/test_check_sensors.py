@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node check_sensors as a process, with the emulator as the hardware."""
+"""The node check_sensors as a process, with the emulator as the hardware and with a bag."""
 
 import json
 import subprocess
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
-from udp_target import CONFIG, device_file
+from bag_of_run import write_bag
+from laboratory import Laboratory
+from udp_target import CONFIG, RIG, device_file
 
 from abrace.processes.group import find_executable
 
@@ -39,6 +44,34 @@ def test_the_hardware_is_read_at_rest_and_the_channel_that_fails_is_named(hardwa
     assert "not checked, the rig hardly moved" in ended.stdout
     channels = json.loads((tmp_path / "check.json").read_text())["channels"]
     assert [channel["name"] for channel in channels if channel["faults"]] == ["a3"]
+
+
+def recorded(path: Path, wrong_sign: bool) -> Path:
+    """A bag of a test with the table, in which both load cells of the group read the same, or the second one's sign."""
+    run = Laboratory(RIG, 2).table_test(20.0)
+    forces = np.repeat(run.outputs[:, -run.groups :], run.braces, axis=1)
+    write_bag(replace(run, forces=forces * [1.0, -1.0 if wrong_sign else 1.0]), path)
+    return path
+
+
+@pytest.mark.parametrize("wrong_sign", [False, True])
+def test_a_bag_is_checked_with_the_load_cell_of_each_brace(tmp_path, wrong_sign):
+    ended = check(bag=recorded(tmp_path / "bag", wrong_sign), output=tmp_path / "check.json")
+    assert (ended.returncode, ended.stderr) == (int(wrong_sign), ""), ended.stdout
+    channels = json.loads((tmp_path / "check.json").read_text())["channels"]
+    assert tuple(channel["name"] for channel in channels) == RIG.channel_names
+    faults = {channel["name"]: channel["faults"] for channel in channels if channel["faults"]}
+    expected = {"fa": ["wrong sign: fa against fb"], "fb": ["wrong sign: fb against fa"]}
+    assert faults == (expected if wrong_sign else {})
+
+
+def test_a_bag_of_another_rig_is_refused_with_both_rigs_channels(tmp_path):
+    bag = recorded(tmp_path / "bag", wrong_sign=False)
+    ended = check(bag=bag, rig="single_storey")
+    message = f"{bag}: has the channels {', '.join(RIG.channel_names)}, expected those of the rig single_storey: x1, "
+    assert ended.returncode == 2
+    assert ended.stderr.startswith(f"check_sensors: {message}"), ended.stderr
+    assert ended.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(

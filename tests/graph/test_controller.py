@@ -92,15 +92,17 @@ def test_the_force_ramps_in_and_is_at_zero_before_the_controller_is_inactive(rig
     np.testing.assert_allclose(found[-10:], 1000.0)
     request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
     inactive = rig.graph.ask(ChangeState, "controller/change_state", request)
-    falling = [1000.0]
+    falling, lost = [1000.0], 4  # fewer answers than samples: a busy machine has time for them before the node gives up
     while falling[-1]:
         assert not inactive.done()
-        falling.append(rig.send(1.0))
+        falling.append(rig.send(1.0, lost))
+    assert len(falling) > STEPS / (1 + lost)
+    assert np.abs(np.diff(falling)).max() < 1.01 * STEEPEST * 1000.0 * (1 + lost)
     rig.graph.until(inactive.done, "the controller to be inactive")
     assert inactive.result().success
     assert rig.graph.change_state("controller", "activate")
     rising = rig.hold(1.0, STEPS + 20)
-    assert np.abs(np.diff([*falling, *rising])).max() < 1.01 * STEEPEST * 1000.0
+    assert np.abs(np.diff([0.0, *rising])).max() < 1.01 * STEEPEST * 1000.0
     np.testing.assert_allclose(rising[-10:], 1000.0)
 
 

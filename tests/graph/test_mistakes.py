@@ -182,6 +182,11 @@ MISTAKES = [
         f"{VIEW} host:=0.0.0.0 -p operate:=true",
         "parameter operate: true with host 0.0.0.0, expected a host of 127.0.0.1, localhost, ::1",
     ),
+    (f"{VIEW} token_file:=notes.txt", "parameter token_file: given, expected operate:=true with it"),
+    (
+        f"{VIEW} operate:=true -p token_file:=none",
+        "parameter token_file: none: No such file or directory, expected a file with a token",
+    ),
     ("abrace_bags/logger --ros-args -p output:={bag}", "bag .* exists already, expected a new directory"),
     ("abrace_bags/logger --ros-args -p output:=notes.txt/bag", "cannot write bag notes.txt/bag: Not a directory"),
     (
@@ -196,7 +201,7 @@ MISTAKES = [
 VARIABLES = [
     ("ROS_DOMAIN_ID", "nine", "expected 0 to 232"),
     ("ROS_DOMAIN_ID", "300", "expected 0 to 232"),
-    ("RMW_IMPLEMENTATION", "rmw_cyclonedds_cp", "expected an installed one: .*rmw_fastrtps_cpp.*"),
+    ("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp", "expected Fast DDS: .*rmw_fastrtps_cpp.*"),
     ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCAL", "expected SUBNET or .*, did you mean LOCALHOST?"),
     ("FASTRTPS_DEFAULT_PROFILES_FILE", "none.xml", "expected a file"),
 ]

@@ -33,7 +33,8 @@ def write_bag(
     rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
     loop = simulated_loop(rig, 3)
     definition = message_definition("abrace_interfaces/msg/Response")
-    with BagWriter(path, {"sample_period": "0.002", "rig": rig.name}) as bag:
+    facts = {"sample_period": "0.002", "rig": rig.name, "capacity": json.dumps(rig.capacity.tolist())}
+    with BagWriter(path, facts) as bag:
         topic = bag.add_topic("/response", definition.type_name, definition.text, definition.type_hash)
         packed = Responses()
         for k in range(len(ground)):
@@ -114,7 +115,9 @@ def test_bags_become_a_model_the_model_a_controller_and_both_are_compared(bags, 
     assert len(ended.stderr.splitlines()) == 1, ended.stderr
     assert not list(tmp_path.glob("refused*"))
 
-    law = load_controller(controller).law
+    written = load_controller(controller)
+    assert written.force_limit.tolist() == rig.capacity.tolist(), "from the bags' facts"
+    law = written.law
     assert law.inputs == ("a1", "a2", "a3")
     assert law.sample_period == 0.002
 

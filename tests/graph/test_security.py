@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from foxglove_client import FoxgloveClient
 from policy import may, read_policy
 
 from abrace.processes.group import find_executable
@@ -88,6 +90,29 @@ def test_the_policy_allows_what_the_nodes_do(graph, tmp_path):
     expect_allowed(graph, "viewer", "reply", "viewer/list_parameters")
     for name in ("plant", "ground_motion", "excitation", "controller", "logger"):
         expect_open_to_operators(graph, name)
+
+
+def test_the_policy_allows_what_a_viewer_does_that_may_operate_and_no_other_viewer(graph):
+    graph.start("plant", command_timeout=10.0)
+    graph.start("viewer", port=0, page_port=0, operate=True)
+    line = graph.until(lambda: [line for line in graph.output_of("viewer") if "?token=" in line], "its address")
+    port, token = re.search(r":(\d+)/\?token=(\S+)", line[0]).groups()
+    clear, stop = f"{graph.namespace}/plant/clear_fault", ("publish", "/emergency_stop")
+    request = b"\x00\x01\x00\x00\x00"
+    with FoxgloveClient(int(port), token) as client:
+        graph.until(lambda: {"/view/stop", clear} <= set(client.services), "the services")
+        client.subscribe(*(topic for topic in client.channels if topic.startswith(graph.namespace)))
+        client.send({"op": "getParameters", "parameterNames": [f"{graph.namespace}/plant.rig"], "id": "get"})
+        name = {"name": f"{graph.namespace}/plant.sensor_faults", "value": ["a1=zero"]}
+        client.send({"op": "setParameters", "parameters": [name], "id": "set"})
+        calls = client.call(clear, request), client.call("/view/stop", request)
+        graph.until(lambda: set(calls) <= set(client.answers), "the answers")
+        assert stop in used(graph, "viewer")
+        expect_allowed(graph, "viewer", "request", "plant/set_parameters", enclave="operating_viewer")
+        expect_allowed(graph, "_viewer_input", "subscribe", "response", enclave="operating_viewer")
+        looking = read_policy(POLICY, graph.namespace)["/abrace/viewer"]
+        refused = {one for one in (stop, ("request", clear)) if not may(looking, *one)}
+        assert refused == {stop, ("request", clear)}
 
 
 @pytest.mark.usefixtures("domain")

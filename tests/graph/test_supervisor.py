@@ -46,7 +46,8 @@ def test_a_rig_that_runs_elsewhere_is_joined_when_it_is_recorded_and_a_broken_of
     assert f"protective stop: pressed by {graph.namespace}/test" in last
     assert graph.state("ground_motion") == "inactive"
     assert graph.stop("logger") == 0
-    assert np.abs(read_runs(bag)[0].ground_acceleration[:3]).max() < 0.002, "recorded from before the motion on"
+    # six standard deviations of the sensor's noise; the motion has 0.25 m/s^2
+    assert np.abs(read_runs(bag)[0].ground_acceleration[:3]).max() < 6 * 0.00084, "recorded from before the motion on"
 
 
 def test_who_is_missing_and_who_is_too_many_is_named(graph):

@@ -64,6 +64,8 @@ class Shaker(AbraceLifecycleNode):
         self.report_fault(self.fault)
 
     def on_input(self, message):
+        if message.data == 13:
+            raise RuntimeError("a defect in the loop")
         self.hearing = threading.current_thread().name
         self.heard = message.data
 
@@ -73,6 +75,8 @@ class Shaker(AbraceLifecycleNode):
 
     def diagnose(self):
         self.diagnosing = threading.current_thread().name
+        if self.parameters.level == 7:
+            raise RuntimeError("a defect beside the loop")
         return self.fault, "running", {}
 
     def prepare_change(self, name, value):
@@ -153,6 +157,22 @@ def test_a_node_that_a_signal_ends_comes_to_rest_before(graph, shaker):
         shaker.send_signal(number)
     assert shaker.communicate(timeout=120)[0].splitlines()[-1] == "closed at 0"
     assert shaker.returncode == 0
+
+
+@pytest.mark.parametrize("where", ["beside", "in"])
+def test_a_node_that_an_error_ends_comes_to_rest_before(graph, shaker, where):
+    ticks = graph.listen(Int64, "ticks")
+    publisher = graph.publisher(Int64, "input")
+    graph.until(lambda: ticks, "the first tick")
+    if where == "in":
+        publisher.publish(Int64(data=13))
+    else:
+        level = Parameter(name="level", value=get_parameter_value("7.0"))
+        graph.call(SetParameters, "shaker/set_parameters", SetParameters.Request(parameters=[level]))
+    output = shaker.communicate(timeout=120)[0].splitlines()
+    assert "closed at 0" in output, output
+    assert output[-1] == f"RuntimeError: a defect {where} the loop"
+    assert shaker.returncode == 1
 
 
 @pytest.fixture

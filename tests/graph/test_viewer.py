@@ -3,20 +3,28 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
+import threading
 import urllib.error
+import urllib.parse
 import urllib.request
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from bag_of_run import write_bag
-from foxglove_client import FoxgloveClient
+from browser import CHROMIUM
+from driven_browser import DrivenBrowser
+from foxglove_client import FoxgloveClient, Refused
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
 
 from abrace import simulate
 from abrace.processes.parameter_file import parameter_file
@@ -30,21 +38,27 @@ from abrace_interfaces.msg import Response
 VIEW = ("/view/channels", "/view/frames", "/view/scene")
 
 
-def started(graph: Any, **parameters: Any) -> tuple[int, str]:
-    """Start a viewer on free ports; returns its WebSocket port and where its page is."""
+def started(graph: Any, **parameters: Any) -> tuple[int, str, str]:
+    """Start a viewer on free ports; returns its WebSocket port, where its page is, and its token."""
     graph.start("viewer", port=0, page_port=0, **parameters)
     line = graph.until(lambda: [line for line in graph.output_of("viewer") if "ws://" in line], "the viewer to listen")
-    page, port = re.fullmatch(r"viewer: (http://127\.0\.0\.1:\d+/) in .* ws://127\.0\.0\.1:(\d+)", line[0]).groups()
-    return int(port), page
+    pattern = r"viewer: (http://127\.0\.0\.1:\d+/) in .* ws://127\.0\.0\.1:(\d+)(?:/\?token=([\w-]{16,}))?"
+    page, port, token = re.fullmatch(pattern, line[0]).groups()
+    return int(port), page, token or ""
 
 
 def test_viewers_get_the_graph_as_it_is_and_a_building_that_moves_and_may_stop_it_where_that_was_allowed(
     graph: Any,
 ) -> None:
     graph.start("plant", command_timeout=10.0)
-    port, page = started(graph, operate=True)
+    port, page, token = started(graph, operate=True)
+    for origin in ("https://elsewhere.example", "http://127.0.0.1:80", "null", ""):
+        with pytest.raises(Refused, match="403"), FoxgloveClient(port, origin=origin):
+            pass
+    with FoxgloveClient(port, origin=page.rstrip("/")) as own_page:
+        graph.until(lambda: own_page.said["serverInfo"], "the viewer to answer its own page")
     response, plant = f"{graph.namespace}/response", f"{graph.namespace}/plant"
-    with FoxgloveClient(port) as client:
+    with FoxgloveClient(port, token, "https://app.foxglove.dev") as client:
         graph.until(lambda: {response, *VIEW} <= set(client.channels), "the topics of the graph")
         channel = client.channels[response]
         assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
@@ -53,7 +67,8 @@ def test_viewers_get_the_graph_as_it_is_and_a_building_that_moves_and_may_stop_i
         schemas = [client.channels[topic]["schemaName"] for topic in VIEW]
         assert schemas == ["abrace.Channels", "foxglove.FrameTransforms", "foxglove.SceneUpdate"]
         graph.until_matched("plant", response=0)
-        assert graph.values("plant")["subscribers of response"] == "0", "nobody looks: nothing is received"
+        subscribers = graph.values("plant")["subscribers of response"]
+        assert subscribers == "0", "without a client the viewer subscribes to nothing"
 
         published: list[bytes] = []
         graph.node.create_subscription(Response, "response", published.append, 5000, raw=True)
@@ -85,9 +100,39 @@ def test_viewers_get_the_graph_as_it_is_and_a_building_that_moves_and_may_stop_i
         assert json.load(answer)["port"] == port
     with urllib.request.urlopen(f"{page}foxglove.json") as answer:
         assert "3D!building" in json.load(answer)["configById"]
+    with urllib.request.urlopen(f"{page}plotjuggler.xml") as answer:
+        assert f"{response}/displacement[2]".encode() in answer.read()
     with pytest.raises(urllib.error.HTTPError, match="404"):
         urllib.request.urlopen(f"{page}../etc/passwd")
     assert graph.stop("viewer") == 0
+
+
+ELSEWHERE = """<!doctype html><title>elsewhere</title><script>
+document.title = "waiting";
+const socket = new WebSocket(new URLSearchParams(location.search).get("to"), ["foxglove.sdk.v1"]);
+socket.onopen = () => { document.title = "connected"; };
+socket.onerror = () => { document.title = "refused"; };
+</script>"""
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
+def test_a_page_from_elsewhere_does_not_reach_a_viewer_that_may_operate_and_its_own_page_does(
+    graph: Any, tmp_path: Path
+) -> None:
+    graph.start("plant", command_timeout=10.0)
+    port, page, token = started(graph, operate=True)
+    (tmp_path / "elsewhere.html").write_text(ELSEWHERE)
+    handler = functools.partial(SimpleHTTPRequestHandler, directory=tmp_path)
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server, DrivenBrowser() as browser:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        for base in (f"http://127.0.0.1:{server.server_port}", tmp_path.as_uri()):
+            for suffix, expected in (("", "refused"), ("wrong", "refused"), (token, "connected")):
+                to = urllib.parse.quote(f"ws://127.0.0.1:{port}/?token={suffix}", safe="")
+                tab = browser.open(f"{base}/elsewhere.html?to={to}")
+                tab.until("!['', 'waiting', 'elsewhere'].includes(document.title)")
+                assert tab.evaluate("document.title") == expected, (base, suffix)
+        browser.open(page).until("document.getElementById('state')?.textContent.includes('running')")
+        server.shutdown()
 
 
 def expect_operations(graph: Any, client: FoxgloveClient, plant: str) -> None:
@@ -116,7 +161,7 @@ def expect_operations(graph: Any, client: FoxgloveClient, plant: str) -> None:
 def test_a_bag_is_played_to_viewers_and_no_peak_of_it_is_hidden(graph: Any, tmp_path: Path) -> None:
     run = simulate("ncree_three_storey", table_noise(1000, 500.0, (0.5, 10.0), 0.3, 1))
     write_bag(run, tmp_path / "noise")
-    port, _ = started(graph, bag=str(tmp_path / "noise"), rate=4.0)
+    port, _, _ = started(graph, bag=str(tmp_path / "noise"), rate=4.0)
     with FoxgloveClient(port) as client:
         graph.until(lambda: {"/response", *VIEW} <= set(client.channels), "the topics of the bag")
         assert client.said["serverInfo"][0]["capabilities"] == ["time"], "nothing to set, nothing to call"
@@ -125,6 +170,36 @@ def test_a_bag_is_played_to_viewers_and_no_peak_of_it_is_hidden(graph: Any, tmp_
         for name, values in zip(run.names, run.outputs.T, strict=True):
             shown = [message[name] for message in client.json("/view/channels")]
             np.testing.assert_allclose([min(shown), max(shown)], [values.min(), values.max()], err_msg=name)
+    assert graph.stop("viewer") == 0
+
+
+def test_the_scene_comes_fifty_times_in_a_second_of_the_samples(graph: Any, tmp_path: Path) -> None:
+    run = simulate("ncree_three_storey", table_noise(1000, 500.0, (0.5, 10.0), 0.3, 1))
+    write_bag(run, tmp_path / "noise")
+    port, _, _ = started(graph, bag=str(tmp_path / "noise"))
+    with FoxgloveClient(port) as client:
+        graph.until(lambda: "/view/scene" in client.channels, "the topics of the bag")
+        client.subscribe("/view/scene")
+
+        def scenes_of_rounds() -> list[int]:
+            times = np.array([time for time, _ in client.messages["/view/scene"]])
+            starts = np.flatnonzero(np.diff(times) < 0) + 1
+            return [len(part) for part in np.split(times, starts)[1:-1]]
+
+        graph.until(lambda: any(count >= 98 for count in scenes_of_rounds()), "100 scenes of the bag's 2 s")
+        assert max(scenes_of_rounds()) <= 101
+    assert graph.stop("viewer") == 0
+
+
+def test_rviz_gets_columns_braces_and_forces_while_it_has_subscribed(graph: Any) -> None:
+    graph.start("plant", command_timeout=10.0)
+    started(graph)
+    arrays = graph.listen(MarkerArray, "markers", QoSProfile(depth=10))
+    graph.until(lambda: len(arrays) > 50, "markers")
+    for array in arrays:
+        texts = [marker.text for marker in array.markers if marker.ns == "numbers"]
+        assert [re.fullmatch(r"(f[ab]) -?\d+\.\d\d kN, \d+ %", text)[1] for text in texts] == ["fa", "fb"]
+        assert {marker.ns for marker in array.markers} == {"columns", "braces", "forces", "numbers"}
     assert graph.stop("viewer") == 0
 
 

@@ -15,17 +15,18 @@ SLOW = (
 )
 
 
+def command(test: str, **arguments: object) -> list[str]:
+    """The command that runs a test with these arguments."""
+    return [*f"abrace run abrace_bringup {test}".split(), *(f"{name}:={value}" for name, value in arguments.items())]
+
+
 @pytest.fixture
 def launch(domain, tmp_path, monkeypatch):  # noqa: ARG001
     """Runs a test to its end with these arguments."""
     monkeypatch.chdir(tmp_path)
 
     def run(test: str, **arguments: object) -> subprocess.CompletedProcess:
-        command = [
-            *f"abrace run abrace_bringup {test}".split(),
-            *(f"{name}:={value}" for name, value in arguments.items()),
-        ]
-        return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+        return subprocess.run(command(test, **arguments), capture_output=True, text=True, timeout=120, check=False)
 
     return run
 
@@ -54,6 +55,19 @@ def test_one_command_starts_all_in_order_records_from_sample_0_and_ends_after_th
     (run,) = read_runs("bags/first")
     assert run.sequence[0] == 0
     assert len(run.sequence) + _missed_by_the_rig("bags/first") == run.sequence[-1] + 1 >= 2.5 * 100
+
+
+def test_a_reader_of_the_output_that_leaves_ends_the_test(domain, tmp_path, monkeypatch):  # noqa: ARG001
+    monkeypatch.chdir(tmp_path)
+    starts = command("identification", drive="table", duration=60, bag="first")
+    with subprocess.Popen(starts, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as launched:
+        assert launched.stdout is not None
+        assert launched.stderr is not None
+        assert any("plant activated" in line for line in launched.stdout)
+        launched.stdout.close()
+        assert launched.stderr.read() == ""
+        assert launched.wait(timeout=60) == 0
+    assert read_runs("first")
 
 
 def test_a_node_that_refuses_ends_the_test_and_the_terminal_says_why(launch):

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 
 def write_bag(run: Run, path: Path | str) -> None:
-    """The bag of a run: every brace of a group has the group's mean force."""
+    """The bag of a run: every brace of a group has the group's mean force, unless the run has those of the braces."""
     definition = message_definition("abrace_interfaces/msg/Response")
     packed, step = Responses(), round(run.sample_period * 1e9)
     x, xf, a, f = np.split(run.outputs, np.cumsum([run.floors, run.groups, run.floors]), axis=1)
-    f = np.repeat(f, run.braces, axis=1)
+    f = np.repeat(f, run.braces, axis=1) if run.forces is None else run.forces
     with BagWriter(path, run.facts) as bag:
         topic = bag.add_topic("/response", definition.type_name, definition.text, definition.type_hash)
         rows = zip(x.tolist(), a.tolist(), xf.tolist(), f.tolist(), run.command.tolist(), strict=True)

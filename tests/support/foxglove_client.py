@@ -10,6 +10,7 @@ import threading
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
+from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 if TYPE_CHECKING:
@@ -24,6 +25,10 @@ PATIENCE = 20.0
 MESSAGE, SERVICE_ANSWER, SERVICE_CALL = 1, 3, 2
 
 
+class Refused(Exception):  # noqa: N818
+    """The server has answered with this HTTP status instead of a WebSocket."""
+
+
 class FoxgloveClient:
     """A connection, served by a thread of its own; a context manager.
 
@@ -31,10 +36,20 @@ class FoxgloveClient:
     ----------
     port
         Port of the server on this machine.
+    token
+        In the address; empty: none.
+    origin
+        Header that a browser sends: of the page that connects; empty: none.
+
+    Raises
+    ------
+    Refused
+        When it is entered, if the server does not let it in.
     """
 
-    def __init__(self, port: int) -> None:
-        self._port = port
+    def __init__(self, port: int, token: str = "", origin: str = "") -> None:
+        address = f"ws://127.0.0.1:{port}/" + (f"?token={token}" if token else "")
+        self._request = HTTPRequest(address, headers={"Origin": origin} if origin else None)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._subscriptions: dict[int, str] = {}
@@ -52,10 +67,13 @@ class FoxgloveClient:
 
     def __enter__(self) -> Self:
         self._thread.start()
-        url = f"ws://127.0.0.1:{self._port}"
-        self._connection: WebSocketClientConnection = self._run(
-            lambda: websocket_connect(url, subprotocols=[PROTOCOL], on_message_callback=self._take)
-        )
+        try:
+            self._connection: WebSocketClientConnection = self._run(
+                lambda: websocket_connect(self._request, subprotocols=[PROTOCOL], on_message_callback=self._take)
+            )
+        except HTTPClientError as error:
+            self._end()
+            raise Refused(error.code) from error
         assert self._connection.selected_subprotocol == PROTOCOL
         return self
 
@@ -63,6 +81,9 @@ class FoxgloveClient:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._loop.call_soon_threadsafe(self._connection.close)
+        self._end()
+
+    def _end(self) -> None:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
 

@@ -16,8 +16,10 @@ if TYPE_CHECKING:
 
 LINE = re.compile(r"(?:abrace|python|cp) |\w+=\$\(")
 """Lines of a block that are given to the shell."""
+SET_UP = ("make setup", "source ros2_ws/setup.bash")
+"""Lines that prepare a terminal: whoever follows a tutorial in a test has done that before."""
 NEEDS_A_TERMINAL = ("abrace status", "abrace stop", "abrace clear")
-"""Commands for a second terminal while a test runs: `tests/graph/test_operator_commands.py` gives them."""
+"""Commands for a second terminal while a test runs."""
 
 
 def page(name: str) -> Path:
@@ -33,14 +35,24 @@ def write_files(name: str, folder: Path) -> list[str]:
     return [block.name for block in named]
 
 
+def shown_lines(name: str) -> list[str]:
+    """Every line of a tutorial's blocks that have no language and are no file, in their order."""
+    shown = [block for block in blocks(page(name)) if not block.language and not block.name]
+    return [line.strip() for block in shown for line in block.text.splitlines() if line.strip()]
+
+
 def lines(name: str) -> list[str]:
     """The shell commands of a tutorial, in their order."""
-    shown = (line.strip() for block in blocks(page(name)) if not block.language for line in block.text.splitlines())
-    return [line for line in shown if LINE.match(line) and not line.startswith(NEEDS_A_TERMINAL)]
+    return [line for line in shown_lines(name) if LINE.match(line) and not line.startswith(NEEDS_A_TERMINAL)]
+
+
+def second_terminal(name: str) -> list[str]:
+    """The commands that a tutorial gives in a second terminal, in their order."""
+    return [line for line in shown_lines(name) if line.startswith(NEEDS_A_TERMINAL)]
 
 
 def python(name: str) -> str:
-    """The Python of a tutorial that belongs to no file, as one program."""
+    """The Python of a page that belongs to no file, as one program."""
     return "\n".join(block.text for block in blocks(page(name)) if block.language == "python" and not block.name)
 
 

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from abrace_core.errors import AbraceError
 
@@ -14,10 +15,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from abrace.benchmark.comparison import Evaluation
+    from abrace.benchmark.definition import RecordedCase
+    from abrace.benchmark.frame_benchmark import FrameBenchmark
     from abrace.benchmark.laws import AnyBenchmark
     from abrace_core.command_line import OneLineParser
 
 RESULTS = Path("results/benchmark")
+RECORDED = "recorded"
+"""Name of the test that --bag gives, beside controllers."""
 EXAMPLES = """examples:
   abrace benchmark ncree_three_storey                          LQG1 to LQG5: results/benchmark/ncree_three_storey
   abrace benchmark ncree_three_storey --controller mine.yaml   a controller file beside them
@@ -55,7 +60,9 @@ def add_benchmark_parser(
         metavar="RECORD",
         help="name or file, instead of the benchmark's: as recorded, a rig's at 0.1 g; may be given several times",
     )
-    benchmark.add_argument("--bag", metavar="BAG", help="a recorded test of the rig, instead of runs of a controller")
+    benchmark.add_argument(
+        "--bag", metavar="BAG", help="a recorded test of the rig; the controllers are run under the motion of its table"
+    )
     benchmark.add_argument("--uncontrolled", metavar="BAG", help="the same motion of the table with zero command")
     benchmark.add_argument(
         "--noise", type=int, metavar="SEED", help="run a frame's sensors with the benchmark's noise, of this seed"
@@ -69,24 +76,39 @@ def add_benchmark_parser(
 def benchmark_command(given: argparse.Namespace) -> None:
     """Carry out `abrace benchmark` with the arguments `given`."""
     from abrace.benchmark.export import export_benchmark
+    from abrace.benchmark.frame_benchmark import FrameBenchmark
 
     if (given.bag is None) != (given.uncontrolled is None):
         raise AbraceError("benchmark: --bag and --uncontrolled, expected both or neither")
+    if given.bag is not None and given.record:
+        raise AbraceError(
+            "--record: given with --bag, expected controllers to be run under the motion of the bag's table"
+        )
     if given.noise is not None and given.noise < 0:
         raise AbraceError(f"--noise: {given.noise}, expected a seed from 0 on")
+    if given.trade_off and given.bag is not None:
+        raise AbraceError("--trade-off: given with --bag, expected the benchmark's own motions")
     benchmark = open_benchmark(given.name, given.record, given.noise)
+    if given.trade_off and not isinstance(benchmark, FrameBenchmark):
+        raise AbraceError(
+            "--trade-off: given with a rig, expected a benchmark of a frame (for a rig: the node explore)"
+        )
     folder = RESULTS / benchmark.definition.name
     if given.export is not None:
         for path in export_benchmark(benchmark, given.export):
             print(f"wrote {path}")
         return
-    evaluations = list(_given_ones(benchmark, given, folder))
-    if given.bag is None:
-        evaluations += _references(benchmark)
+    test = None if given.bag is None else _recorded(benchmark, given)
+    cases: Sequence[Any] = benchmark.definition.cases if test is None else (test.case,)
+    own = list(_given_ones(benchmark, given, folder, cases))
+    references = _references(benchmark, cases)
+    evaluations = [*(() if test is None else (test.evaluation,)), *own, *references]
     if not evaluations:
         raise AbraceError(f"benchmark {given.name}: no reference controller, expected --controller or --bag")
-    further = _trade_off(benchmark, evaluations, folder) if given.trade_off else []
-    print(_write(benchmark, evaluations, folder, further))
+    further = []
+    if given.trade_off and isinstance(benchmark, FrameBenchmark):
+        further = [_trade_off(benchmark, references, folder)]
+    print(_write(benchmark, evaluations, folder, further, cases))
     print(f"wrote {folder / 'report.html'}")
 
 
@@ -130,58 +152,92 @@ def open_benchmark(name: str, records: Iterable[str] = (), noise_seed: int | Non
     return FrameBenchmark(definition, noise_seed)
 
 
-def _given_ones(benchmark: AnyBenchmark, given: argparse.Namespace, folder: Path) -> Iterable[Evaluation]:
-    """What was asked for: controllers, nodes, a recorded test."""
+class _RecordedTest(NamedTuple):
+    """The test that --bag gives: what it reached, and its motion as a case."""
+
+    evaluation: Evaluation
+    case: RecordedCase
+
+
+def _recorded(benchmark: AnyBenchmark, given: argparse.Namespace) -> _RecordedTest:
+    """The test in a bag; J16 and J17 are those of the controller of its name among the files that were `given`."""
     from abrace.benchmark.comparison import Evaluation
-    from abrace.benchmark.laws import margins_of
-    from abrace.benchmark.live import is_node, run_live
-    from abrace.benchmark.recorded import of_tests
-    from abrace.benchmark.rig_benchmark import RigBenchmark
+    from abrace.benchmark.live import is_node
+    from abrace.benchmark.recorded import of_tests, recorded_case
     from abrace_bags import read_run
     from abrace_core.controller_file import load_controller
 
-    if given.bag is not None:
-        found = {Path(given.bag).name: of_tests(benchmark, read_run(given.bag), read_run(given.uncontrolled))}
-        yield Evaluation.of("recorded", found, benchmark.layout)
-    for one in given.controller:
+    run, free = read_run(given.bag), read_run(given.uncontrolled)
+    case = recorded_case(benchmark, run, Path(given.bag).name)
+    used = Path(run.facts.get("controller", "")).stem
+    laws = [load_controller(one).law for one in given.controller if not is_node(one) and Path(one).stem == used]
+    found = {case.name: of_tests(benchmark, run, free, laws[0] if laws else None)}
+    return _RecordedTest(Evaluation.of(RECORDED, found, benchmark.layout), case)
+
+
+def _given_ones(
+    benchmark: AnyBenchmark, given: argparse.Namespace, folder: Path, cases: Sequence[Any]
+) -> Iterable[Evaluation]:
+    """The controllers and nodes that were asked for."""
+    from abrace.benchmark.comparison import Evaluation
+    from abrace.benchmark.laws import margins_of
+    from abrace.benchmark.live import is_node, run_live
+    from abrace_core.controller_file import load_controller
+
+    for one, name in zip(given.controller, _names_of(benchmark, given), strict=True):
         if is_node(one):
-            if not isinstance(benchmark, RigBenchmark):
-                raise AbraceError(f"--controller {one}: a node, expected a benchmark of a rig for it")
-            yield Evaluation.of(Path(one).stem, run_live(benchmark, one, folder), benchmark.layout)
+            if given.bag is not None:
+                raise AbraceError(f"--controller {one}: a node, given with --bag, expected controller files")
+            yield Evaluation.of(name, run_live(benchmark, one, folder), benchmark.layout)
             continue
         controller = load_controller(one)
-        found = benchmark.evaluate(controller)
-        yield Evaluation.of(Path(one).stem, found, benchmark.layout, margins_of(benchmark, controller))
+        found = benchmark.evaluate(controller, cases)
+        yield Evaluation.of(name, found, benchmark.layout, margins_of(benchmark, controller))
 
 
-def _references(benchmark: AnyBenchmark) -> list[Evaluation]:
+def _names_of(benchmark: AnyBenchmark, given: argparse.Namespace) -> list[str]:
+    """A name for each controller that was `given`, none twice: its file's, with what was given where that is taken."""
+    from abrace.benchmark.laws import reference_names
+
+    others = [*reference_names(benchmark), *([RECORDED] if given.bag is not None else [])]
+    stems = [Path(one).stem for one in given.controller]
+    uses = Counter([*others, *stems])
+    names = [stem if uses[stem] == 1 else f"{stem} ({one})" for stem, one in zip(stems, given.controller, strict=True)]
+    twice = [name for name, count in Counter([*others, *names]).items() if count > 1]
+    if twice:
+        raise AbraceError(f"--controller: {twice[0]} twice, expected each controller once")
+    return names
+
+
+def _references(benchmark: AnyBenchmark, cases: Sequence[Any]) -> list[Evaluation]:
     from abrace.benchmark.comparison import Evaluation
     from abrace.benchmark.laws import margins_of, references
 
     return [
-        Evaluation.of(name, benchmark.evaluate(law), benchmark.layout, margins_of(benchmark, law))
+        Evaluation.of(name, benchmark.evaluate(law, cases), benchmark.layout, margins_of(benchmark, law))
         for name, law in references(benchmark).items()
     ]
 
 
-def _trade_off(benchmark: AnyBenchmark, evaluations: list[Evaluation], folder: Path) -> list[Path]:
-    """Draw what more force would give; returns the figure's path."""
-    from abrace.benchmark.frame_benchmark import FrameBenchmark
+def _trade_off(benchmark: FrameBenchmark, references: list[Evaluation], folder: Path) -> Path:
+    """Draw what more force would give, with the sample controller of the `references`; returns the figure's path."""
     from abrace.benchmark.laws import SAMPLE
     from abrace.benchmark.trade_off import trade_off, trade_off_figure
     from abrace_core.drawing import save_figure
 
-    if not isinstance(benchmark, FrameBenchmark):
-        raise AbraceError(
-            "--trade-off: given with a rig, expected a benchmark of a frame (for a rig: the node explore)"
-        )
-    (sample,) = (one for one in evaluations if one.name == SAMPLE)
+    (sample,) = (one for one in references if one.name == SAMPLE)
     path = folder / "trade_off.png"
     save_figure(trade_off_figure(benchmark, trade_off(benchmark), sample), path)
-    return [path]
+    return path
 
 
-def _write(benchmark: AnyBenchmark, evaluations: list[Evaluation], folder: Path, further: Sequence[Path]) -> str:
+def _write(
+    benchmark: AnyBenchmark,
+    evaluations: list[Evaluation],
+    folder: Path,
+    further: Sequence[Path],
+    cases: Sequence[Any],
+) -> str:
     """Write criteria.json, figures, report.html and report.md; returns the table as text."""
     from abrace.benchmark.comparison import Profile, case_tables, worst_table
     from abrace.benchmark.figures import criteria_figure, profile_figure
@@ -195,8 +251,7 @@ def _write(benchmark: AnyBenchmark, evaluations: list[Evaluation], folder: Path,
     content: dict[str, Any] = {one.name: {"cases": one.cases, "margins": one.margins} for one in evaluations}
     save_figure(criteria_figure(name, evaluations), folder / "criteria.png")
     pictures = [Picture(folder / "criteria.png")]
-    known: Sequence[Any] = benchmark.definition.cases
-    for i, case in enumerate(known, 1):
+    for i, case in enumerate(cases, 1):
         shown = [one for one in evaluations if case.name in one.profiles]
         if not shown:
             continue

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `abrace` command: nodes, campaigns, reports, bags, and what an operator does on the running graph."""
+"""The `abrace` command: nodes, campaigns, reports, bags, and the operator's commands for the running graph."""
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from contextlib import AbstractContextManager, nullcontext
@@ -26,9 +27,11 @@ if TYPE_CHECKING:
 
 DEMO = "demo"
 WRONG_INPUT = 2
-"""Exit code when something that was given is wrong, to a node or to this command."""
+"""Exit code when an argument or a file, of a node or of this command, is wrong."""
+NOT_WRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
+"""Errors when a folder or disk cannot be written."""
 FAILED = 1
-"""Exit code when something failed while it ran, or its results are not to be trusted."""
+"""Exit code when a run failed, or its results cannot be trusted."""
 
 
 def parser() -> OneLineParser:
@@ -60,7 +63,7 @@ def parser() -> OneLineParser:
     campaign = commands.add_parser(
         "campaign", help="run the steps of a campaign file, then report", example="abrace campaign my_day.yaml"
     )
-    file = campaign.add_argument("file", help="YAML file, or the name of an installed one: demo, five_controllers")
+    file = campaign.add_argument("file", help="YAML file, or the name of an installed campaign: demo, five_controllers")
     _completed(file, completion.campaigns)
     _add_watch(campaign)
     one_of = campaign.add_mutually_exclusive_group()
@@ -89,7 +92,7 @@ def parser() -> OneLineParser:
     demo = commands.add_parser(
         DEMO,
         help="the paper's tests, identification, design and comparison on the simulated rig",
-        example="abrace demo, then look at results/demo/report.md",
+        example="abrace demo, then open results/demo/report.html in a browser",
     )
     _add_watch(demo)
     return main_parser
@@ -99,12 +102,12 @@ def _add_watch(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--watch",
         action="store_true",
-        help="show the building on a page in the browser, and the last test again afterwards, until Ctrl-C",
+        help="show the building on a page in the browser; afterwards play the last test there until Ctrl-C",
     )
 
 
 def _completed(action: argparse.Action, completer: Callable[..., Iterable[str]]) -> None:
-    """Have the shell complete an argument by what the `completer` gives."""
+    """Let the shell complete an argument with the values that `completer` returns."""
     action.completer = completer  # type: ignore[attr-defined]
 
 
@@ -123,9 +126,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         refused = isinstance(error, NodeDied) and error.returncode == WRONG_INPUT
         return FAILED if isinstance(error, RunFailed) and not refused else WRONG_INPUT
     except BrokenPipeError:
-        # who read the output has had enough; what Python still writes at its end goes nowhere
+        # the reader of the output has closed the pipe; what Python still writes at exit is discarded
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno not in NOT_WRITABLE:
+            raise
+        print(f"abrace: cannot write {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
+        return WRONG_INPUT
     except KeyboardInterrupt:
         print("abrace: stopped", file=sys.stderr)
         return 130
@@ -174,7 +182,7 @@ def _carry_out(given: argparse.Namespace) -> int:
 
 
 def _watched(path: Path) -> AbstractContextManager[None]:
-    """The viewer beside the campaign in a file."""
+    """The viewer, running with the campaign in a file."""
     from abrace.campaign.file import load_campaign
     from abrace.campaign.laboratory import Laboratories
     from abrace.processes.watching import watched
@@ -199,7 +207,7 @@ def _campaign_file(name: str) -> Path:
 
 
 def _operate(given: argparse.Namespace) -> int:
-    check_environment()  # before ROS is imported, which ends the process where it cannot go on
+    check_environment()  # before ROS is imported: it ends the process if ROS_DOMAIN_ID is invalid
     from abrace.nodes import operator_commands
 
     match given.command:

@@ -8,11 +8,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from abrace_core.errors import AbraceError
-
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
 
     from abrace_core.command_line import OneLineParser
 
@@ -61,8 +58,9 @@ def fragility_command(given: argparse.Namespace) -> None:
     """Carry out `abrace fragility` with the arguments `given`."""
     from abrace.interactive.fragility import fragility
     from abrace_core.progress import Progress
+    from abrace_lqg.fragility.study import named_numbers
 
-    limits = {name: values[-1] for name, values in _pairs("limit", given.limit).items()}
+    limits = {name: values[-1] for name, values in named_numbers("--limit", given.limit).items()}
     begin = time.monotonic()
     with Progress(1, sys.stdout).step("fragility") as shown:
         found = fragility(
@@ -74,7 +72,7 @@ def fragility_command(given: argparse.Namespace) -> None:
             noise=given.noise,
             noise_duration=given.noise_duration,
             models=given.models,
-            faults=_pairs("fault", given.fault),
+            faults=named_numbers("--fault", given.fault),
             rig=given.rig or None,
             seed=given.seed,
             folder=given.output,
@@ -84,14 +82,3 @@ def fragility_command(given: argparse.Namespace) -> None:
         )
     print(found.text())
     print(f"wrote {given.output} ({time.monotonic() - begin:.1f} s)")
-
-
-def _pairs(what: str, texts: Sequence[str]) -> dict[str, list[float]]:
-    found: dict[str, list[float]] = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        try:
-            found.setdefault(name, []).append(float(value))
-        except ValueError as error:
-            raise AbraceError(f"--{what} {text}: expected NAME=NUMBER, such as a1=0") from error
-    return found

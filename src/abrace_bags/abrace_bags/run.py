@@ -113,7 +113,8 @@ def _run(source: str, response: TopicArrays, facts: dict[str, Any]) -> Run:
             raise AbraceError(f"{', '.join(names)} have {sizes} values, expected equal numbers")
     braces = _braces(response, values["stroke"].shape[1], values["force"].shape[1])
     starts = np.concatenate([[0], np.cumsum(braces)[:-1]]).astype(np.intp)
-    values["force"] = np.add.reduceat(values["force"], starts, axis=1) / braces if braces else values["force"]
+    forces = values["force"]
+    values["force"] = np.add.reduceat(forces, starts, axis=1) / braces if braces else forces
     return Run(
         source=source,
         sample_period=_sample_period(response, facts),
@@ -126,6 +127,7 @@ def _run(source: str, response: TopicArrays, facts: dict[str, Any]) -> Run:
         facts=dict(facts),
         clipped=response.fields.get("clipped"),
         braces=braces,
+        forces=forces,
     )
 
 

@@ -4,14 +4,19 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import pydantic
 
 from abrace_core.config_file import Checked, read_config, read_mapping
 from abrace_core.errors import AbraceError
 from abrace_core.installed import find_file
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 DATA = "BENCHMARK_DATA"
 """Environment variable: the folder that holds `records/`, the ground motions that abrace does not ship."""
@@ -79,6 +84,21 @@ class Case(Checked):
         return f"{Path(self.record).stem} x {self.intensity:g}"
 
 
+class Live(Checked):
+    """The building in the live graph, for controllers that are nodes, and recorded tests.
+
+    Parameters
+    ----------
+    rig
+        Rig file, by name or path: the frame condensed to its levels, the same devices and sensors.
+    low_cut
+        Of the table's motion [Hz]: a table is at rest at its end, in the middle; 0: the record as it is.
+    """
+
+    rig: str
+    low_cut: Annotated[float, pydantic.Field(ge=0)] = 0.0
+
+
 class Definition(Checked):
     """A benchmark of a building of plane frames.
 
@@ -100,6 +120,8 @@ class Definition(Checked):
         Of the model that they are designed on.
     cases
         The runs.
+    live
+        Its rig; None: it has none.
     """
 
     name: str
@@ -112,6 +134,7 @@ class Definition(Checked):
     measured: Annotated[list[str], pydantic.Field(min_length=1)]
     design_states: Annotated[int, pydantic.Field(ge=2)]
     cases: Annotated[list[Case], pydantic.Field(min_length=1)]
+    live: Live | None = None
 
 
 class RigCase(Checked):
@@ -156,6 +179,40 @@ class RigDefinition(Checked):
     duration: Positive
     weights: list[str] = []
     cases: Annotated[list[RigCase], pydantic.Field(min_length=1)]
+
+
+@dataclass(frozen=True)
+class RecordedCase:
+    """One run under the motion of a recorded test.
+
+    Parameters
+    ----------
+    name
+        Of the test.
+    ground
+        (samples,) acceleration of its table, sample by sample [m/s^2].
+    """
+
+    name: str
+    ground: NDArray[np.float64]
+
+
+def check_case_names(definition: Definition | RigDefinition) -> None:
+    """Refuse a `definition` with two cases of one name: results, and what they are divided by, are kept by that name.
+
+    Raises
+    ------
+    AbraceError
+        Naming the benchmark and both records.
+    """
+    records: dict[str, str] = {}
+    for case in definition.cases:
+        if case.name in records:
+            raise AbraceError(
+                f"benchmark {definition.name}: records {records[case.name]} and {case.record}: both cases are named "
+                f"{case.name}, expected a file name or an intensity of its own for each"
+            )
+        records[case.name] = case.record
 
 
 def is_benchmark(name: str) -> bool:

@@ -18,7 +18,16 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from abrace.benchmark.laws import AnyBenchmark
+
+
+def write_ground(path: Path, ground: NDArray[np.float64], sample_period: float) -> None:
+    """Write a ground motion, `ground` (samples,) [m/s^2] every `sample_period` [s], as CSV to a `path`."""
+    time = np.arange(len(ground)) * sample_period
+    with write_atomically(path) as temporary:
+        np.savetxt(temporary, np.column_stack([time, ground]), "%.9g", ",", header="time [s],acc [m/s^2]", comments="")
 
 
 def export_benchmark(benchmark: AnyBenchmark, folder: Path) -> list[Path]:
@@ -42,11 +51,7 @@ def export_benchmark(benchmark: AnyBenchmark, folder: Path) -> list[Path]:
     for i, case in enumerate(known, 1):
         ground = benchmark.ground(case)
         path = folder / f"ground_{i}.csv"
-        time = np.arange(len(ground)) * benchmark.plant.sample_period
-        with write_atomically(path) as temporary:
-            np.savetxt(
-                temporary, np.column_stack([time, ground]), "%.9g", ",", header="time [s],acc [m/s^2]", comments=""
-            )
+        write_ground(path, ground, benchmark.plant.sample_period)
         written.append(path)
         without = benchmark.uncontrolled(case)
         cases.append({"name": case.name, "ground": path.name, "uncontrolled": dict(without)})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace.benchmark.criteria import Layout, Responses, criteria, peaks
-from abrace.benchmark.definition import record_path
+from abrace.benchmark.definition import RecordedCase, check_case_names, record_path
 from abrace.benchmark.sampled_loop import Converter, run_loops
 from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
@@ -17,7 +17,7 @@ from abrace_core.installed import find_file
 from abrace_core.simulation import simulate
 from abrace_lqg.design import tustin
 from abrace_plant.frames.file import load_frame
-from abrace_plant.frames.model import building_model
+from abrace_plant.frames.model import building_model, static_curvature
 from abrace_plant.records.files import read_record
 from abrace_sysid.models.reduction import Scales, balanced_truncation
 
@@ -44,10 +44,11 @@ class FrameBenchmark:
     Raises
     ------
     AbraceError
-        If the frame file is missing or wrong, or the devices do not fit it.
+        If the frame file is missing or wrong, the devices do not fit it, or two cases have one name.
     """
 
     def __init__(self, definition: Definition, noise_seed: int | None = None) -> None:
+        check_case_names(definition)
         self.definition, self.noise_seed = definition, noise_seed
         self._uncontrolled: dict[str, Mapping[str, float]] = {}
         self.building = load_frame(find_file(definition.frame, "abrace_plant", "config/frames", ".yaml", "frame"))
@@ -92,8 +93,15 @@ class FrameBenchmark:
         )
         return balanced_truncation(model, self.definition.design_states, scales).model
 
-    def ground(self, case: Case) -> NDArray[np.float64]:
+    @cached_property
+    def static_curvature(self) -> NDArray[np.float64]:
+        """(ends, levels) curvature over yield for each metre of a level's displacement; no ends: not known."""
+        return static_curvature(self.building)
+
+    def ground(self, case: Case | RecordedCase) -> NDArray[np.float64]:
         """(samples,) acceleration of the ground in a `case` [m/s^2]: straight between samples, then zero."""
+        if isinstance(case, RecordedCase):
+            return case.ground
         record = read_record(record_path(case.record))
         period, duration = self.definition.sample_period, self.definition.duration
         time = np.arange(round(duration / period) + 1) * period
@@ -105,21 +113,21 @@ class FrameBenchmark:
         x, v, a, c = np.split(outputs, [levels, 2 * levels, 3 * levels], axis=1)
         return Responses(self.definition.sample_period, x, v, a, force, c if c.shape[1] else None)
 
-    def without_control(self, case: Case, model: LinearModel | None = None) -> Responses:
+    def without_control(self, case: Case | RecordedCase, model: LinearModel | None = None) -> Responses:
         """A run of a `case` without control, of the exact discrete model or of another `model` (`newmark`)."""
         model = (model or self.plant).select(inputs=self.model.inputs[:1])
         outputs = simulate(model, self.ground(case)[:, None])
         return self.responses(outputs, np.zeros((len(outputs), len(self.layout.storeys))))
 
-    def uncontrolled(self, case: Case) -> Mapping[str, float]:
+    def uncontrolled(self, case: Case | RecordedCase) -> Mapping[str, float]:
         """What a `case`'s criteria are divided by: what its file states, else a run of our own."""
         if case.name not in self._uncontrolled:
-            found = case.uncontrolled or peaks(self.without_control(case), self.layout)
-            self._uncontrolled[case.name] = found
+            stated = None if isinstance(case, RecordedCase) else case.uncontrolled
+            self._uncontrolled[case.name] = stated or peaks(self.without_control(case), self.layout)
         return self._uncontrolled[case.name]
 
     def evaluate(
-        self, controller: Controller, cases: Sequence[Case] | None = None
+        self, controller: Controller, cases: Sequence[Case | RecordedCase] | None = None
     ) -> dict[str, tuple[dict[str, float], Responses]]:
         """Criteria and responses with a controller, by the name of each case.
 

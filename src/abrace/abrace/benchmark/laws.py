@@ -30,6 +30,13 @@ MODES_OF_MARGINS = 40
 """Excited modes of a frame's model on which margins are found: the others add 0.002 % to the responses."""
 
 
+def reference_names(benchmark: AnyBenchmark) -> tuple[str, ...]:
+    """Names of the reference controllers of a `benchmark`, in their order."""
+    return (
+        (SAMPLE, OWN) if isinstance(benchmark, FrameBenchmark) else tuple(dict.fromkeys(benchmark.definition.weights))
+    )
+
+
 def references(benchmark: AnyBenchmark) -> dict[str, Controller]:
     """The controllers that every other one stands beside, by name: of a frame the benchmark's sample and abrace's own.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace.benchmark.criteria import Layout, Responses, criteria, peaks
-from abrace.benchmark.definition import record_path
+from abrace.benchmark.definition import RecordedCase, check_case_names, record_path
 from abrace_core.discretization import discretize
 from abrace_core.errors import AbraceError
 from abrace_core.installed import find_file
@@ -43,10 +43,11 @@ class RigBenchmark:
     Raises
     ------
     AbraceError
-        If the rig file is missing or wrong.
+        If the rig file is missing or wrong, or two cases have one name.
     """
 
     def __init__(self, definition: RigDefinition) -> None:
+        check_case_names(definition)
         self.definition = definition
         self._uncontrolled: dict[str, dict[str, float]] = {}
         self.rig = load_rig(find_file(definition.rig, "abrace_plant", "config", ".yaml", "rig"))
@@ -83,8 +84,10 @@ class RigBenchmark:
         """What controllers are designed on: the rig's own model."""
         return self.rig.model
 
-    def ground(self, case: RigCase) -> NDArray[np.float64]:
+    def ground(self, case: RigCase | RecordedCase) -> NDArray[np.float64]:
         """(samples,) acceleration of the table in a `case` [m/s^2], treated as the node `ground_motion` does it."""
+        if isinstance(case, RecordedCase):
+            return case.ground
         treatment = Treatment(
             peak_acceleration=case.peak_acceleration, duration=self.definition.duration, band_limit=BAND_LIMIT
         )
@@ -97,14 +100,14 @@ class RigBenchmark:
         force = np.column_stack([named[name] for name in groups])
         return Responses(self.plant.sample_period, x, v, a, force)
 
-    def without_control(self, case: RigCase) -> Responses:
+    def without_control(self, case: RigCase | RecordedCase) -> Responses:
         """A run of a `case` with zero command: the braces push what their servos leave."""
         inputs = np.zeros((len(ground := self.ground(case)), len(self.plant.inputs)))
         inputs[:, 0] = ground
         return self._responses(simulate(self.plant, inputs))
 
     def evaluate(
-        self, controller: Controller, cases: Sequence[RigCase] | None = None
+        self, controller: Controller, cases: Sequence[RigCase | RecordedCase] | None = None
     ) -> dict[str, tuple[dict[str, float], Responses]]:
         """Criteria and responses with a controller, by the name of each case; None: the benchmark's cases."""
         found = {}
@@ -120,7 +123,7 @@ class RigBenchmark:
             found[case.name] = values, responses
         return found
 
-    def uncontrolled(self, case: RigCase) -> Mapping[str, float]:
+    def uncontrolled(self, case: RigCase | RecordedCase) -> Mapping[str, float]:
         """What a `case`'s criteria are divided by: a run with zero command."""
         if case.name not in self._uncontrolled:
             self._uncontrolled[case.name] = peaks(self.without_control(case), self.layout)

@@ -31,8 +31,8 @@ def trade_off(benchmark: FrameBenchmark) -> list[Evaluation]:
             evaluated = benchmark.evaluate(law)
         except AbraceError:  # no controller, or not a stable one
             continue
-        margins = margins_of(benchmark, law)
-        found.append(Evaluation.of(f"commands x {factor:.3g}", evaluated, benchmark.layout, margins))
+        if margins := margins_of(benchmark, law):
+            found.append(Evaluation.of(f"commands x {factor:.3g}", evaluated, benchmark.layout, margins))
     return sorted(found, key=lambda one: one.worst()["J11"])
 
 
@@ -46,7 +46,7 @@ def trade_off_figure(benchmark: FrameBenchmark, tried: list[Evaluation], sample:
     tried
         As from `trade_off`.
     sample
-        Drawn as crosses.
+        Drawn as crosses; where its loop is not stable it has no margins, and no crosses of them.
     """
     kilonewtons = benchmark.layout.weight / 1e3
     force = [one.worst()["J11"] * kilonewtons for one in tried]
@@ -59,7 +59,8 @@ def trade_off_figure(benchmark: FrameBenchmark, tried: list[Evaluation], sample:
     response.set_ylabel("greatest ratio of the cases")
     for axis, name, label in ((gain, "gain_margin_db", "gain margin (dB)"), (disk, "disk_margin", "disk margin")):
         axis.plot(force, [one.margins[name] for one in tried], "o-", color=COLOURS[0], markersize=3)
-        axis.plot(at, sample.margins[name], "x", color=REFERENCE)
+        if name in sample.margins:
+            axis.plot(at, sample.margins[name], "x", color=REFERENCE)
         axis.set_ylabel(label)
         axis.set_ylim(bottom=0)
     for axis in (response, gain, disk):

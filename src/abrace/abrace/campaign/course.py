@@ -55,6 +55,7 @@ class _Course:
         self._runner, self._folders = runner, folders
         self._campaign = runner.campaign
         self._names = [step.name for step in self._campaign.steps]
+        self._start = start
         self._inputs = Inputs(runner.campaign, runner.laboratories)
         make_folder(folders.unfinished)
         self._done = DoneSteps(folders.unfinished, self._names)
@@ -164,7 +165,8 @@ class _Course:
                 self._write_timing({"step": step, "cause": str(error)})
                 make_report(self._folders.unfinished)
         count = f"{len(self._done.steps)} of {len(self._names)} steps are whole"
-        where = f"in {self._folders.unfinished}; the same command goes on with {step}"
+        again = "the same command" if self._start is None else f"abrace campaign {self._campaign.path}, without --from,"
+        where = f"in {self._folders.unfinished}; {again} goes on with {step}"
         print(f"abrace: {count}, {where}", file=sys.stderr, flush=True)
 
 

@@ -58,7 +58,7 @@ def drivers(test: RigTest, laboratory: Laboratory, controller_file: Callable[[st
         Function that returns a controller's file, given the `controller` of the test.
     """
     rig, controller = laboratory.rig, test.controller
-    rates = {"rate_limit": test.rate_limit} if test.rate_limit else {}
+    rates = {"rate_limit": test.rate_limit or max(rig.rate_limit.tolist(), default=0.0)}
     limits = {"force_limit": list(test.force_limit or rig.capacity.tolist()), **rates}
     played = {"duration": test.duration, "sample_rate": rig.sample_rate}
     found: dict[str, NodeStart] = {}

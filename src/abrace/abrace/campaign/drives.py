@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
-from abrace.campaign.names import Band, NonNegative, Positive, Real, Text, Whole, from_folder
+from abrace.campaign.names import Band, NonNegative, OfGroups, Positive, Real, Text, Whole, from_folder
 from abrace_core.config_file import Checked
 from abrace_plant.records.files import KNOWN_RECORDS
 
@@ -27,9 +27,8 @@ class Drive(Checked):
 
 
 class BandedNoise(Drive):
-    """Banded white noise: rms ([m/s^2] of the table, [N] of a brace), band [Hz], seed."""
+    """Banded white noise: band [Hz], seed. The rms is that of the table or of the braces, below."""
 
-    rms: Positive
     band: Band
     seed: Whole
 
@@ -49,14 +48,16 @@ class Multisine(BandedNoise):
 
 
 class ExcitationNoise(BandedNoise):
-    """Brace commands of banded white noise: rms [N]."""
+    """Brace commands of banded white noise: rms [N] of all groups or of each; 0: a group at rest."""
 
+    rms: OfGroups
     signal: Literal["white_noise"] = "white_noise"
 
 
 class ExcitationMultisine(Multisine):
-    """Brace commands of a multisine: rms [N]."""
+    """Brace commands of a multisine: rms as of `ExcitationNoise`."""
 
+    rms: OfGroups
     signal: Literal["multisine"]
 
 
@@ -73,12 +74,14 @@ Excitation = Annotated[
 class WhiteNoise(BandedNoise):
     """A table motion of banded white noise: rms [m/s^2]."""
 
+    rms: Positive
     record: Literal["white_noise"]
 
 
 class MultisineMotion(Multisine):
     """A table motion of a multisine: rms [m/s^2]."""
 
+    rms: Positive
     record: Literal["multisine"]
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import pydantic
 
 from abrace.campaign.matrix import expanded
-from abrace.campaign.names import FOLDER, Flag, Name, NameOrFile, is_step_name
+from abrace.campaign.names import FOLDER, CampaignName, Flag, Name, NameOrFile, is_step_name
 from abrace.campaign.references import wrong_references
 from abrace.campaign.tasks import (
     Ambient,
@@ -47,7 +47,7 @@ class _Step(Checked):
 
 
 class _Campaign(Checked):
-    name: Name
+    name: CampaignName
     rig: RigChoice
     device: NameOrFile | None = None
     emulator: Flag = False

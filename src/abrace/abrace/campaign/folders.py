@@ -46,7 +46,7 @@ class Folders:
             If the campaign is already running.
         """
         make_folder(RESULTS)
-        lock = os.open(RESULTS / f".{self.name}.lock", os.O_RDWR | os.O_CREAT, 0o644)
+        lock = os.open(RESULTS / f".{self.name}.lock", os.O_RDWR | os.O_CREAT, 0o666)
         try:
             self._take(lock)
             if not self.results.exists() and self._replaced.exists():

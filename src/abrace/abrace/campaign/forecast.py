@@ -21,8 +21,8 @@ from abrace_core.errors import AbraceError
 from abrace_core.linear_model import load_model
 from abrace_core.node import find_file
 from abrace_core.simulation import simulate, simulate_closed_loop
-from abrace_lqg.analysis.prediction import Excitation
 from abrace_lqg.design import design
+from abrace_lqg.of_model import excitation_of
 from abrace_lqg.proof.checks import prove, require
 from abrace_lqg.scaling import scaled_weights
 from abrace_lqg.weights import load_weights
@@ -218,7 +218,7 @@ class Forecaster:
         try:
             model, period = load_model(file) if known else rig.model, 1 / rig.sample_rate
             weights = load_weights(find_file(task.weights, "abrace_lqg", "config", ".yaml", "weights"))
-            weights = scaled_weights(model, weights, period, rig.capacity.tolist(), Excitation())
+            weights = scaled_weights(model, weights, period, rig.capacity.tolist(), excitation_of(model))
             designed = design(model, weights, period)
             law = designed.controller, designed.correction
             require(prove(designed, {"the model": model}, limits=task.limits), task.accept)

@@ -70,9 +70,11 @@ class Inputs:
 
 
 def _files(words: Iterable[str]) -> dict[str, str]:
-    """Checksums of the files and bags among some words."""
+    """Checksums of the files, bags and folders of models among some words."""
     paths = [Path(word) for word in words if word]
-    return {f"file {path}": file_checksum(path) for path in paths if path.is_file() or (path / METADATA_FILE).is_file()}
+    models = [path for folder in paths if (folder / "model.json").is_file() for path in sorted(folder.glob("*.json"))]
+    found = [path for path in paths if path.is_file() or (path / METADATA_FILE).is_file()]
+    return {f"file {path}": file_checksum(path) for path in (*found, *models)}
 
 
 def _words(content: object) -> Iterator[str]:

@@ -14,6 +14,7 @@ MODEL_FILE = ".json"
 LAW_FILE = ".py"
 FOLDER = "folder"
 """Key of the validation context: the campaign file's folder."""
+_NAMESPACE = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -25,6 +26,12 @@ def is_step_name(name: str) -> bool:
 def _file_name(name: str) -> str:
     if not is_step_name(name):
         raise ValueError("up to 64 letters, digits, _ and -, a letter or digit first")
+    return name
+
+
+def _campaign_name(name: str) -> str:
+    if not _NAMESPACE.fullmatch(name) or len(name) > 64 or "__" in name:
+        raise ValueError("up to 64 letters, digits and single _, a letter first: it is the ROS namespace of the nodes")
     return name
 
 
@@ -49,6 +56,16 @@ def is_path(name: str) -> bool:
     return "/" in name or name.endswith((CONTROLLER_FILE, MODEL_FILE))
 
 
+def _for_all(value: object) -> object:
+    return (value,) if isinstance(value, int | float) else value
+
+
+def _one_above_zero(values: tuple[float, ...]) -> tuple[float, ...]:
+    if not values or min(values) < 0 or max(values) == 0:
+        raise ValueError("one number for all brace groups or one for each, 0 or more, above 0 for one group at least")
+    return values
+
+
 def _listed(value: object) -> object:
     return [value] if isinstance(value, str) else value
 
@@ -60,8 +77,11 @@ Whole = Annotated[int, pydantic.Field(ge=0, strict=True)]
 Flag = Annotated[bool, pydantic.Field(strict=True)]
 Text = Annotated[str, pydantic.Field(min_length=1)]
 Name = Annotated[str, pydantic.AfterValidator(_file_name)]
+CampaignName = Annotated[str, pydantic.AfterValidator(_campaign_name)]
 NameOrFile = Annotated[Text, pydantic.AfterValidator(_name_or_file)]
 """Name of a step or of a package's file; or a path, which contains "/" or ends in .yaml or .json."""
+OfGroups = Annotated[tuple[Real, ...], pydantic.BeforeValidator(_for_all), pydantic.AfterValidator(_one_above_zero)]
+"""One number for all brace groups, or one for each."""
 Band = Annotated[tuple[NonNegative, NonNegative], pydantic.AfterValidator(_rising)]
 PositiveBand = Annotated[tuple[Positive, Positive], pydantic.AfterValidator(_rising)]
 Tests = Annotated[tuple[NameOrFile, ...], pydantic.Field(min_length=1), pydantic.BeforeValidator(_listed)]

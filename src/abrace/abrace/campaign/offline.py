@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from abrace.campaign.drives import BandedNoise
+from abrace.campaign.drives import BandedNoise, ExcitationMultisine, Multisine, MultisineMotion
 from abrace.campaign.names import CONTROLLER_FILE, MODEL_FILE, is_path
 from abrace.campaign.tasks import Ambient, Compare, Design, Identify, RigTest, Validate
 from abrace_bags.bag import topic_names
@@ -81,6 +81,8 @@ def _wrong_identify(task: Identify, tests: Mapping[str, RigTest], rig: Rig) -> I
     ):
         own = {name: tests[name] for name in names if name in tests}
         drives = [test.ground_motion if key == "table" else test.excitation for test in own.values()]
+        if len({isinstance(drive, Multisine) for drive in drives if isinstance(drive, BandedNoise)}) > 1:
+            yield f"identify.{key}: some of {', '.join(own)} are noise and some multisines, expected one kind"
         bands = [drive.band for drive in drives if isinstance(drive, BandedNoise)]
         if bands and max(low for low, _ in bands) >= min(high for _, high in bands):
             yield f"identify.{key}: the bands of {', '.join(own)} do not overlap"
@@ -93,6 +95,51 @@ def _wrong_identify(task: Identify, tests: Mapping[str, RigTest], rig: Rig) -> I
                     f"identify.{key}_band: {band[0]:g} to {band[1]:g} Hz, expected within the {drive.band[0]:g} to "
                     f"{drive.band[1]:g} Hz of {name}"
                 )
+
+    yield from _wrong_groups(task.command, tests, rig.groups)
+    for name in task.table:
+        if name in tests:
+            yield from _wrong_lines(name, tests[name])
+
+
+def _wrong_groups(names: tuple[str, ...], tests: Mapping[str, RigTest], groups: int) -> Iterator[str]:
+    """Brace groups that no command test drives, or that are driven together with others in one test and not in another.
+
+    Bags of earlier days among the tests may have what is missing in this campaign.
+    """
+    sets: dict[int, tuple[frozenset[int], str]] = {}
+    for name in names:
+        drive = tests[name].excitation if name in tests else None
+        if drive is None or len(drive.rms) not in (1, groups):
+            continue
+        rms = drive.rms
+        driven = frozenset(group for group in range(groups) if rms[group if len(rms) > 1 else 0])
+        for group in sorted(driven):
+            known, other = sets.setdefault(group, (driven, name))
+            if known != driven:
+                yield (
+                    f"identify.command: brace group {group + 1} is driven with other groups in {name} than in {other}, "
+                    "expected every group alone, or always with the same ones"
+                )
+                return
+    missing = [str(group + 1) for group in range(groups) if group not in sets]
+    if sets and missing and all(name in tests for name in names):
+        yield f"identify.command: no test drives brace group {' and '.join(missing)}, expected one of every group"
+
+
+def _wrong_lines(name: str, test: RigTest) -> Iterator[str]:
+    """Multisines on table and braces at once that have no lines of their own."""
+    table, braces = test.ground_motion, test.excitation
+    if not (isinstance(table, MultisineMotion) and isinstance(braces, ExcitationMultisine)):
+        return
+    if table.period != braces.period:
+        yield f"identify.table: {name} has multisines of {table.period:g} and {braces.period:g} s, expected one period"
+    apart = table.band[1] < braces.band[0] or braces.band[1] < table.band[0]
+    if not apart and ("all" in (table.lines, braces.lines) or table.lines == braces.lines):
+        yield (
+            f"identify.table: {name} has {table.lines} lines on the table and {braces.lines} lines on the braces, "
+            "expected odd ones on one and even ones on the other"
+        )
 
 
 def _wrong_bags(key: str, names: tuple[str, ...]) -> Iterator[str]:

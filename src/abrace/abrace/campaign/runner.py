@@ -337,6 +337,7 @@ class Runner:
             "rig": lab.rig.name,
             "rig_file": lab.rig_file.read_text(encoding="utf-8"),
             "sample_period": repr(1 / lab.rig.sample_rate),
+            "capacity": json.dumps(lab.rig.capacity.tolist()),
             "lockstep": str(self.campaign.in_lockstep(test)).lower(),
             "controller": test.controller_name,
         }

@@ -3,19 +3,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from abrace.interactive.given import model_of, rig_of, weights_of
 from abrace.interactive.identification import Identified
 from abrace_core.errors import AbraceError
+from abrace_core.linear_model import load_covariance, load_model
 from abrace_core.one_thread import one_thread
+from abrace_lqg.of_model import force_limit_of, sample_period_of
+from abrace_lqg.proof.files import distrusted
 from abrace_lqg.proof.limits import Limits
 from abrace_lqg.proof.proven_design import ProvenDesign, proven_design
 from abrace_sysid.validity.finding import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from abrace.interactive.given import AnyModel, AnyRig
     from abrace_core.linear_model import LinearModel
@@ -39,8 +42,8 @@ def design(
     Parameters
     ----------
     model
-        To design with. Of an identification that is its reduced model; the controller is then checked with the full
-        one, too, and with models drawn from its covariance.
+        To design with. Of an identification, or the folder of its results, that is its reduced model; the controller
+        is then checked with the full one, too, and with models drawn from its covariance.
     weights
         Weights, their file, or the name of some: `lqg1` to `lqg5`, `half` (half the response, on any rig).
     rig
@@ -63,12 +66,16 @@ def design(
         If model and weights give no controller, with each objection, or where rig and force limit are not known.
     """
     designed_with = model_of(model, design=True)
-    models = {"reduced" if isinstance(model, Identified) else "model": designed_with}
-    covariances = {}
+    models, covariances, distrust = {"model": designed_with}, {}, []
     if isinstance(model, Identified):
-        models["full"] = model.model
-        if model.found.covariance is not None:
-            covariances["full"] = model.found.covariance
+        models = {"reduced": designed_with, "full": model.model}
+        covariances, distrust = {"full": model.found.covariance}, _distrust(model)
+    elif isinstance(model, (str, Path)) and (Path(model).is_dir() or Path(model).suffix == ".json"):
+        path = Path(model)
+        if path.is_dir():
+            path /= "model.json"
+            models = {"reduced": designed_with, "full": load_model(path)}
+        covariances, distrust = {list(models)[-1]: load_covariance(path)}, list(distrusted([str(path)]))
     models |= {name: model_of(each) for name, each in (check or {}).items()}
     found, name = weights_of(weights)
     period, limit = of_rig(designed_with, rig, sample_period, force_limit)
@@ -80,8 +87,8 @@ def design(
         force_limit=limit,
         limits=Limits(**limits) if limits else None,
         accept=accept,
-        covariances=covariances,
-        distrust=_distrust(model) if isinstance(model, Identified) else (),
+        covariances={name: each for name, each in covariances.items() if each is not None},
+        distrust=distrust,
     )
 
 
@@ -92,20 +99,14 @@ def _distrust(identified: Identified) -> list[str]:
 
 
 def of_rig(model: LinearModel, rig: AnyRig | None, period: float | None, force: Any) -> tuple[float, list[float]]:
-    """Sample `period` [s] and `force` limits (commands,) [N], as given, of the `rig`, or of that of the `model`."""
+    """Sample `period` [s] and `force` limits (commands,) [N]: as given, of the `rig`, or of the `model`'s tests."""
     groups = len(model.inputs) - 1
-    period = period or (None if rig else model.provenance.get("sample_period"))
-    if period is None or force is None:
-        name = rig or model.provenance.get("rig")
-        try:
-            if not name:
-                raise AbraceError("the model does not say of which rig it is")
-            known = rig_of(name)
-        except AbraceError as error:
-            missing = " and ".join(
-                what for what, value in (("force_limit [N]", force), ("sample_period [s]", period)) if value is None
-            )
-            raise AbraceError(f"design: {error}: expected rig (its name or file), or {missing}") from error
+    if rig is not None:
+        known = rig_of(rig)
         period = period or 1 / known.sample_rate
         force = known.capacity.tolist() if force is None else force
-    return float(period), [float(force)] * groups if isinstance(force, (int, float)) else list(force)
+    limits = [float(force)] * groups if isinstance(force, (int, float)) else list(force or [])
+    try:
+        return sample_period_of(model, period or 0.0), force_limit_of(model, limits)
+    except AbraceError as error:
+        raise AbraceError(f"design: {error}; or give the rig, its name or file") from error

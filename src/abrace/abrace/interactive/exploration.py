@@ -10,15 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from abrace.interactive.controllers import of_rig
-from abrace.interactive.fragility import ground_motions
-from abrace.interactive.given import model_of, weights_of
+from abrace.interactive.fragility import covariance_of, ground_motions, interlocks_of
+from abrace.interactive.given import model_of, warn, weights_of
+from abrace_core.errors import AbraceError
 from abrace_core.tables import data_frame
-from abrace_lqg.analysis.prediction import Excitation
 from abrace_lqg.exploration.ensemble import Record as Motion
-from abrace_lqg.exploration.figure import trade_off
+from abrace_lqg.exploration.figure import robust_figure, trade_off
+from abrace_lqg.exploration.report import ranked
 from abrace_lqg.exploration.run import explore as run_exploration
 from abrace_lqg.exploration.study import Study
 from abrace_lqg.exploration.weight_sets import SPANS, weight_sets
+from abrace_lqg.fragility.study import ensemble, faults_of
+from abrace_lqg.of_model import excitation_of
 from abrace_lqg.scaling import scaled_weights
 
 if TYPE_CHECKING:
@@ -41,20 +44,31 @@ class Explored:
     ----------
     outcomes
         Of all sets; set 0 is the given weights. `outcomes[17].weights` is what `design` takes.
+    quantile
+        Share of the loops that respond no more than a set's robust response.
     """
 
     outcomes: tuple[Outcome, ...]
+    quantile: float
 
     def __repr__(self) -> str:
         refused = sum(bool(outcome.refused) for outcome in self.outcomes)
         return f"<Explored: {len(self.outcomes)} sets of weights, {refused} without a controller>"
 
     def to_pandas(self) -> pandas.DataFrame:
-        """The sets that give a controller: rms over that with zero command, rms command [N], margins."""
+        """The sets that give a controller: rms over that with zero command, rms command [N], margins, rank.
+
+        The rank is the place of the robust response among sets that take no more force than the given weights; not a
+        number: one takes more.
+        """
         found = [outcome for outcome in self.outcomes if outcome.command and outcome.margins]
+        ranks = {outcome.number: rank for rank, outcome in enumerate(ranked(self.outcomes), 1)}
         columns: dict[str, list[Any]] = {
             "displacement": [outcome.response("displacement") for outcome in found],
             "acceleration": [outcome.response("acceleration") for outcome in found],
+            "robust displacement": [outcome.robust["displacement"] for outcome in found],
+            "robust acceleration": [outcome.robust["acceleration"] for outcome in found],
+            "rank": [ranks.get(outcome.number, np.nan) for outcome in found],
             "command [N]": [outcome.command.rms for outcome in found if outcome.command],
             "saturated": [outcome.saturated for outcome in found],
             "gain margin [dB]": [outcome.margins.gain for outcome in found if outcome.margins],
@@ -63,8 +77,25 @@ class Explored:
         }
         return data_frame(columns, "set", [outcome.number for outcome in found])
 
-    def plot(self, picked: Sequence[int] = ()) -> Figure:
-        """Response against force, coloured by margins; `picked` sets are marked."""
+    def plot(self, what: str = "trade_off", picked: Sequence[int] = ()) -> Figure:
+        """A figure.
+
+        Parameters
+        ----------
+        what
+            "trade_off" (response against force, coloured by margins) or "robust" (robust responses against mean ones).
+        picked
+            Numbers of sets to mark in the trade-off.
+
+        Raises
+        ------
+        AbraceError
+            If it is neither of these, or no set gave a controller.
+        """
+        if what == "robust":
+            return robust_figure(self.outcomes, self.quantile)
+        if what != "trade_off":
+            raise AbraceError(f"figure {what!r} of an exploration: expected trade_off or robust")
         return trade_off(self.outcomes, picked)
 
 
@@ -76,7 +107,10 @@ def explore(
     records: Sequence[Record | Path | str] = (),
     noise: Sequence[int] = (),
     noise_duration: float = 40.0,
-    peak_acceleration: float = 0.980665,
+    peak_acceleration: float | Sequence[float] = 0.980665,
+    models: int = 1,
+    faults: Mapping[str, float | Sequence[float]] | None = None,
+    quantile: float = 0.9,
     sets: int = 256,
     spans: Mapping[str, tuple[float, float]] | None = None,
     seed: int = 0,
@@ -102,15 +136,19 @@ def explore(
     records, noise, noise_duration
         Ground motions, as for `fragility`.
     peak_acceleration
-        To which each is scaled [m/s^2].
+        To which each is scaled, one or several, rising [m/s^2].
+    models, faults
+        As for `fragility`; the models are drawn about the one to simulate with.
+    quantile
+        Share of the loops that respond no more than a set's robust response, by which sets are ranked.
     sets
         How many are tried beside the given one.
     spans
         Lowest and highest power of ten that a weight is multiplied by, by its name; None: those of the node `explore`.
     seed
-        Of the quasi-random sets.
+        Of the quasi-random sets and of the models drawn.
     rig, sample_period, force_limit
-        As for `design`.
+        As for `design`; the rig's interlocks act, as for `fragility`.
     folder
         For the results.
     scheduler
@@ -125,12 +163,23 @@ def explore(
     """
     designed_with, simulated = model_of(model, design=True), model_of(simulation_model or model)
     period, limit = of_rig(designed_with, rig, sample_period, force_limit)
-    middle = scaled_weights(designed_with, weights_of(weights)[0], period, limit, Excitation())
+    middle = scaled_weights(designed_with, weights_of(weights)[0], period, limit, excitation_of(designed_with))
     tried = weight_sets(middle, {**SPANS, **(spans or {})}, sets, seed)
-    motions = [
-        Motion(name, ground).scaled(peak_acceleration)
-        for name, ground in ground_motions(records, noise, noise_duration, period)
-    ]
-    study = Study.of(designed_with, simulated, motions, capacity=np.array(limit), sample_period=period)
+    motions = [Motion(name, ground) for name, ground in ground_motions(records, noise, noise_duration, period)]
+    acting = interlocks_of(simulated, rig, period)
+    warn(acting.warnings)
+    given = simulation_model or model
+    study = Study.of(
+        designed_with,
+        ensemble(simulated, covariance_of(given), models, seed, str(given)),
+        motions,
+        intensities=[float(each) for each in np.atleast_1d(peak_acceleration)],
+        capacity=np.array(limit),
+        sample_period=period,
+        faults=faults_of(faults or {}),
+        interlocks=acting.interlocks,
+        implausibility=acting.implausibility,
+        quantile=quantile,
+    )
     found = run_exploration(study, tried, Path(folder) / "loops", scheduler=scheduler, workers=workers)
-    return Explored(tuple(found))
+    return Explored(tuple(found), quantile)

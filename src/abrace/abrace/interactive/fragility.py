@@ -4,23 +4,25 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from abrace.interactive.given import controller_of, model_of, rig_of
+from abrace.interactive.given import controller_of, model_of, rig_of, warn
 from abrace.interactive.identification import Identified
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import load_covariance
+from abrace_core.linear_model import LinearModel, load_covariance
 from abrace_core.loop_extremes import Motions
-from abrace_core.model_ensemble import draw_models
 from abrace_core.noise import banded_noise
+from abrace_core.signals import meaning, response_names
 from abrace_lqg.fragility.assessment import run_study
-from abrace_lqg.fragility.study import Fault, FragilityStudy, Interlock
+from abrace_lqg.fragility.study import STUCK, FragilityStudy, Interlock, ensemble, faults_of, with_drifts
 from abrace_plant.records.files import read_record
 from abrace_plant.records.record import Record
 from abrace_plant.records.treatment import BAND_LIMIT, Treatment, prepare
+from abrace_plant.rig.detectors import Detectors, detectors, sensor_noise
 from abrace_plant.rig.limits import limit_table
 
 if TYPE_CHECKING:
@@ -29,13 +31,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace.interactive.given import AnyController, AnyModel, AnyRig
-    from abrace_core.linear_model import LinearModel
     from abrace_lqg.fragility.assessment import Fragility
 
 NOISE_BAND = (0.1, 10.0)
 """[Hz], as the node `explore` has it."""
 WATCHED = {"drift": r"d\d+", "displacement": r"x\d+", "stroke": r"xf\d*", "acceleration": r"a\d+", "force": r"f\d*"}
 """Interlocks of a rig that a linear model has the quantities of, and how these are named."""
+SETTLES = "implausible_acceleration"
+COMPARED = (SETTLES, "implausible_stroke")
+"""Interlocks that compare sensors with each other."""
 
 
 def fragility(
@@ -84,7 +88,9 @@ def fragility(
     faults
         Reading over truth of a failing sensor, by its name: 0 is dead, -1 turned around; several are tried one by one.
     rig
-        Whose interlocks act: drift, displacement, stroke, acceleration, force; None: none.
+        Whose interlocks act on what sensors read: drift, displacement, stroke, acceleration, force; and with a failing
+        sensor implausible_acceleration, implausible_stroke, stuck. None: none. Those of quantities that the model does
+        not have cannot act: they are given as a warning.
     sample_period
         [s]; None: that of the controllers, or 0.002.
     seed
@@ -106,16 +112,19 @@ def fragility(
     tried = tuple(controller_of(each) for each in controllers)
     period = sample_period or (tried[0].law.sample_period if tried else 0.002)
     grounds = ground_motions(records, noise, noise_duration, period)
-    ensemble = _ensemble(model, models, seed)
+    drawn = ensemble(model_of(model), covariance_of(model), models, seed, str(model))
+    acting = interlocks_of(drawn[0], rig, period)
+    warn(acting.warnings)
     study = FragilityStudy(
-        ensemble,
+        drawn,
         tried,
-        tuple(Fault(name, float(factor)) for name, given in (faults or {}).items() for factor in np.atleast_1d(given)),
+        faults_of(faults or {}),
         Motions.of(_unit(name, ground) for name, ground in grounds),
         tuple(name for name, _ in grounds),
         tuple(float(each) for each in intensities),
-        _interlocks(ensemble[0], rig, period),
+        acting.interlocks,
         period,
+        acting.implausibility,
     )
     return run_study(
         study, limits, folder, scheduler=scheduler, workers=workers, progress=progress or (lambda _done, _all: None)
@@ -151,33 +160,82 @@ def _unit(name: str, ground: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(ground / peak)
 
 
-def _ensemble(given: AnyModel, count: int, seed: int) -> tuple[LinearModel, ...]:
-    """The model, and others drawn from the covariance of its parameters."""
-    if count < 1:
-        raise AbraceError(f"models {count}: expected 1 (the model alone) or more")
-    model = model_of(given)
-    if count == 1:
-        return (model,)
-    covariance = given.found.covariance if isinstance(given, Identified) else None
+def covariance_of(given: AnyModel) -> NDArray[np.float64] | None:
+    """Of the parameters of the model that was `given`; None: not known."""
+    if isinstance(given, Identified):
+        return given.found.covariance
     if isinstance(given, (str, Path)):
         path = Path(given) / "model.json" if Path(given).is_dir() else Path(given)
-        covariance = load_covariance(path) if path.suffix == ".json" else None
-    if covariance is None:
-        raise AbraceError(
-            f"models {count}: {given} has no covariance to draw models from, expected 1, or one of identify"
-        )
-    return (model, *draw_models(model, covariance, count - 1, seed))
+        return load_covariance(path) if path.suffix == ".json" else None
+    return None
 
 
-def _interlocks(model: LinearModel, given: AnyRig | None, period: float) -> tuple[Interlock, ...]:
+class Acting(NamedTuple):
+    """Interlocks of a rig, what they need to compare sensors, and warnings of those that cannot act."""
+
+    interlocks: tuple[Interlock, ...]
+    implausibility: LinearModel | None
+    warnings: tuple[str, ...]
+
+
+def interlocks_of(model: LinearModel, given: AnyRig | None, period: float) -> Acting:
+    """The interlocks of a rig that act in simulations of a model.
+
+    Parameters
+    ----------
+    model
+        Whose outputs are watched.
+    given
+        The rig; None: no interlocks.
+    period
+        Of the samples [s].
+    """
     if given is None:
-        return ()
-    table = limit_table(rig_of(given), {})
-    floors = [name for name in model.outputs if re.fullmatch(r"x\d+", name)]
-    names = [*model.outputs, *(f"d{i + 1}" for i in range(len(floors)))]
-    return tuple(
-        Interlock(name, table[kind].value, max(1, int(np.ceil(table[kind].time / period - 1e-9))))
-        for kind, pattern in WATCHED.items()
+        return Acting((), None, ())
+    rig = replace(rig_of(given), sample_rate=1 / period)
+    found = detectors(rig)
+    table = {
+        kind: each for kind, each in limit_table(rig, found.noise(sensor_noise(rig))).items() if each.action == "stop"
+    }
+
+    def interlock(kind: str, quantity: str, value: float, settling: int = 0) -> Interlock:
+        return Interlock(quantity, value, max(1, int(np.ceil(table[kind].time / period - 1e-9))), settling)
+
+    watched = {kind: pattern for kind, pattern in WATCHED.items() if kind in table}
+    names = with_drifts(model).outputs
+    of_rig = (*(f"d{i + 1}" for i in range(rig.floors)), *response_names(rig.floors, rig.groups))
+    known = {meaning(name) for name in names}
+    missing = [
+        name
+        for pattern in watched.values()
+        for name in of_rig
+        if re.fullmatch(pattern, name) and meaning(name) not in known
+    ]
+    acting = [
+        interlock(kind, name, table[kind].value)
+        for kind, pattern in watched.items()
         for name in names
-        if re.fullmatch(pattern, name) and table[kind].action == "stop"
+        if re.fullmatch(pattern, name)
+    ]
+    rows = [i for i, each in enumerate(found.quantities) if each.interlock in COMPARED and each.interlock in table]
+    for row in rows:
+        kind, name = found.quantities[row].interlock, found.quantities[row].name
+        acting.append(interlock(kind, name, table[kind].value, found.settling if kind == SETTLES else 0))
+    if "stuck" in table and all(sensor.noise >= sensor.step for sensor in rig.channel_sensors):
+        acting.append(interlock("stuck", STUCK, 0.5))
+    warnings = (
+        (f"rig {rig.name}: no interlocks of {', '.join(missing)}, which the model does not have",) if missing else ()
     )
+    return Acting(tuple(acting), _comparison(found, rows, rig.channel_names, period) if rows else None, warnings)
+
+
+def _comparison(found: Detectors, rows: list[int], channels: tuple[str, ...], period: float) -> LinearModel:
+    """The filters of these `rows` of a rig's detectors, from its `channels`; `period` [s]."""
+    states = len(found.at_rest)
+    a, b = found.step[:states, :states], found.step[:states, states : states + len(channels)]
+    c, d = found.step[states:][rows, :states], found.step[states:][rows, states : states + len(channels)]
+    seen = np.any(c, axis=0)
+    while np.any(grown := np.any(a[seen], axis=0) & ~seen):
+        seen |= grown
+    names = tuple(found.quantities[row].name for row in rows)
+    return LinearModel(a[np.ix_(seen, seen)], b[seen], c[:, seen], d, channels, names, period)

@@ -40,10 +40,12 @@ if TYPE_CHECKING:
 WHITE_NOISE = "white_noise"
 TABLE_NOISE: dict[str, Any] = {"band": (0.1, 10.0), "rms": 0.25}
 """[Hz] and [m/s^2], as the node `ground_motion` has them."""
-COMMAND_NOISE: dict[str, Any] = {"band": (0.0, 30.0), "rms": 1800.0}
-"""[Hz] and [N], as the node `excitation` has them."""
-RAMP, RATE_LIMIT = 0.5, 5.0e6
-"""Of the nodes that command: seconds in which a force fades in, and its greatest rate [N/s]."""
+COMMAND_BAND = (0.0, 30.0)
+"""[Hz], as the node `excitation` has it."""
+COMMAND_SHARE = 0.07
+"""Rms of a white noise command over the capacity: that of the paper's test, 1.8 of 24.5 kN."""
+RAMP = 0.5
+"""Seconds in which the nodes that command fade a force in."""
 ROUNDING = 1e-9
 
 
@@ -74,8 +76,8 @@ def simulate(
     controller
         A controller, its file, a design; of a rig also a law of one's own (`abrace_core.own_law`).
     command
-        Instead of a controller: (samples,) or (samples, groups) [N] of one brace, or "white_noise" (to 30 Hz, 1800 N);
-        None: zero.
+        Instead of a controller: (samples,) or (samples, groups) [N] of one brace, or "white_noise" (to 30 Hz,
+        7 % of the capacity, which a model has from its tests); None: zero.
     peak_acceleration
         [m/s^2] to which the record is scaled; 0: as recorded.
     duration
@@ -108,7 +110,8 @@ def simulate(
     fields = {**treatment, "peak_acceleration": peak_acceleration, "duration": duration}
     ground, name = _ground(record, 1 / period, fields, seed)
     groups = rig.groups if rig is not None else len(model.inputs) - 1
-    forces = _commands(command, 1 / period, duration, groups, seed)
+    capacity = rig.capacity if rig is not None else np.array(model.provenance.get("force_limit", []))
+    forces = _commands(command, 1 / period, duration, groups, seed, COMMAND_SHARE * capacity)
     if ground is None and forces is None:
         raise AbraceError("simulate: neither record nor command, expected at least one")
     samples = max(len(each) for each in (ground, forces) if each is not None)
@@ -164,16 +167,26 @@ def _ground(record: Any, rate: float, fields: dict[str, Any], seed: int) -> tupl
 
 
 def _commands(
-    command: ArrayLike | str | None, rate: float, duration: float, groups: int, seed: int
+    command: ArrayLike | str | None,
+    rate: float,
+    duration: float,
+    groups: int,
+    seed: int,
+    rms: NDArray[np.float64],
 ) -> NDArray[np.float64] | None:
-    """(samples, groups) [N]."""
+    """(samples, groups) [N]; `rms` (groups,) [N] of white noise, empty if it is not known."""
     if command is None:
         return None
     if isinstance(command, str):
         if command != WHITE_NOISE:
             raise AbraceError(f"simulate: command {command!r}, expected an array or {WHITE_NOISE!r}")
-        noise = [banded_noise(round(duration * rate), rate, **COMMAND_NOISE, seed=seed + 2 + j) for j in range(groups)]
-        return np.column_stack(noise)
+        if len(rms) != groups:
+            raise AbraceError(
+                f"simulate: command {WHITE_NOISE!r} to a model without force_limit, expected an array in N"
+            )
+        samples = round(duration * rate)
+        each = [banded_noise(samples, rate, COMMAND_BAND, float(rms[j]), seed + 2 + j) for j in range(groups)]
+        return np.column_stack(each)
     forces = np.asarray(command, dtype=np.float64)
     forces = forces[:, None] if forces.ndim == 1 else forces
     if forces.ndim != 2 or forces.shape[1] != groups:
@@ -203,7 +216,7 @@ def _answer(rig: Rig, controller: Any) -> Callable[[int, list[float]], list[floa
             )
         limit, active = given.force_limit, ActiveController(given, RAMP)
         active.reset(signals.response_names(floors, groups), signals.command_names(groups), np.zeros(groups))
-    guard = CommandGuard(limit, [RATE_LIMIT] * groups, period, RAMP_TIME)
+    guard = CommandGuard(limit, rig.rate_limit.tolist(), period, RAMP_TIME)
 
     def force(number: int, z: list[float]) -> list[float]:
         wanted = active.force(z, 0).tolist() if active is not None else law.force(number, z, 0)

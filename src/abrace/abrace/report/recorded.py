@@ -95,7 +95,8 @@ def _noise(given: dict[str, Any], unit: str) -> str:
     if "rms" not in given or "band" not in given:
         return ""
     low, high = given["band"]
-    return f", rms {given['rms']:g} {unit}, {low:g} to {high:g} Hz"
+    each = given["rms"] if isinstance(given["rms"], list) else [given["rms"]]
+    return f", rms {', '.join(f'{rms:g}' for rms in each)} {unit}, {low:g} to {high:g} Hz"
 
 
 def recorded_tests(directory: Path, steps: Iterable[str]) -> list[RecordedTest]:

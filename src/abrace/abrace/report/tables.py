@@ -38,15 +38,13 @@ from abrace_plant.rig.published import PAPER_POLES
 from abrace_sysid.fitting.pole_estimate import NORMAL_95
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from abrace.report.units import Units
 
 PAPER_ERROR = mean_relative_error(TABLE_1_SIMULATION, TABLE_1_EXPERIMENT)
 VERDICTS = get_args(VerdictWords)
-FITTED = (
-    "LQG3's five weights were fitted to these 18 cells: the error is that of a fit, the table of models below is not"
-)
+FITTED = "LQG3's five weights were fitted to these 18 cells; the models identified below were not fitted to the paper"
 
 
 def tables(results: Results, units: Units) -> list[Table]:
@@ -283,48 +281,67 @@ def _agreement_table(comparison: Comparison) -> Table:
 
 
 def _controller_tables(comparisons: Mapping[str, Comparison], units: Units) -> list[Table]:
-    """For each motion under which several controllers ran: measured peak and rms, and their reductions."""
-    motions: dict[str, list[Comparison]] = {}
-    for comparison in comparisons.values():
+    """For each motion under which several controllers ran on a rig: measured peak and rms, and their reductions.
+
+    Tests of one motion whose tests without control differ have tables of their own, whose titles name the steps.
+    """
+    motions: dict[tuple[str, str], list[dict[str, Comparison]]] = {}
+    for step, comparison in comparisons.items():
         if comparison.test.controller and comparison.uncontrolled is not None:
-            motions.setdefault(_motion(comparison.test), []).append(comparison)
+            groups = motions.setdefault((comparison.test.rig, _motion(comparison.test)), [])
+            same = (one for one in groups if next(iter(one.values())).uncontrolled == comparison.uncontrolled)
+            group = next(same, None)
+            if group is None:
+                groups.append({step: comparison})
+            else:
+                group[step] = comparison
+    several = {key: groups for key, groups in motions.items() if sum(map(len, groups)) > 1}
+    rigs = {rig for rig, _ in several}
     found = []
-    for motion, several in motions.items():
-        if len(several) < 2:
-            continue
-        without, names = several[0].uncontrolled or {}, [one.test.controller for one in several]
-        for key in ("peak", "rms"):
-            measured, reductions = [], []
-            for row, before in without.items():
-                cells = [getattr(one.measured[row], key) for one in several]
-                start = getattr(before, key)
-                shown = (units.cell(row, cell) for cell in (start, *cells))
-                measured.append((units.quantity(row), *shown))
-                less = [_number(100 * (1 - cell / start) if start else None, ".1f") for cell in cells]
-                reductions.append((row, *less))
-            found.append(Table(f"All controllers, {motion}: {key}", ("", "without", *names), tuple(measured)))
-            moved = tuple(row for row in reductions if row[0][0] in "xa")
-            found.append(Table(f"All controllers, {motion}: reduction of {key}, %", ("", *names), moved))
+    for (rig, motion), groups in several.items():
+        for group in groups:
+            title = f"All controllers, {motion}" + (f", rig {rig or 'unknown'}" if len(rigs) > 1 else "")
+            title += f", {', '.join(group)}" if len(groups) > 1 else ""
+            found += _controllers_beside(title, list(group.values()), units)
+    return found
+
+
+def _controllers_beside(title: str, several: Sequence[Comparison], units: Units) -> list[Table]:
+    """Measured peak and rms of `several` comparisons with the same test without control, and their reductions."""
+    without, names = several[0].uncontrolled or {}, [one.test.controller for one in several]
+    found = []
+    for key in ("peak", "rms"):
+        measured, reductions = [], []
+        for row, before in without.items():
+            cells = [getattr(one.measured[row], key) for one in several]
+            start = getattr(before, key)
+            shown = (units.cell(row, cell) for cell in (start, *cells))
+            measured.append((units.quantity(row), *shown))
+            less = [_number(100 * (1 - cell / start) if start else None, ".1f") for cell in cells]
+            reductions.append((row, *less))
+        found.append(Table(f"{title}: {key}", ("", "without", *names), tuple(measured)))
+        moved = tuple(row for row in reductions if row[0][0] in "xa")
+        found.append(Table(f"{title}: reduction of {key}, %", ("", *names), moved))
     return found
 
 
 def _all_agreements_table(comparisons: Mapping[str, Comparison]) -> Table:
-    """Every comparison's worst figures, one row each."""
+    """Every comparison's worst figures, one row each; a dash for a model that a comparison does not have."""
+    models = list(dict.fromkeys(name for comparison in comparisons.values() for name in comparison.other_models))
     rows = []
     for step, comparison in comparisons.items():
         worst = min(row.correlation for row in comparison.simulated_vs_measured.values())
         error = max(row.noise_free_error for row in comparison.simulated_vs_measured.values())
-        others = (f"{100 * other.peak_rms_error:.2f}" for other in comparison.other_models.values())
+        others = (comparison.other_models.get(name) for name in models)
         peaks = worst_peak_rms_error(comparison)
         rows.append(
             (
                 step,
                 f"{worst:.4f}",
                 *(f"{100 * x:.2f}" for x in (error, comparison.peak_rms_error or 0.0, peaks)),
-                *others,
+                *(_number(100 * other.peak_rms_error if other else None, ".2f") for other in others),
             )
         )
-    other_models = next(iter(comparisons.values())).other_models
     return Table(
         "Simulated against measured, every test",
         (
@@ -333,7 +350,7 @@ def _all_agreements_table(comparisons: Mapping[str, Comparison]) -> Table:
             "greatest rms error %",
             "peaks and rms: mean error %",
             "greatest %",
-            *(f"mean, {name} %" for name in other_models),
+            *(f"mean, {name} %" for name in models),
         ),
         tuple(rows),
         ("Rms errors without sensor noise.",),
