@@ -202,9 +202,16 @@ def controller_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
         ("100 000 closed loops of 50 000 steps, s", f"{explore['seconds_100000']:.0f}", "110", "-", "-"),
         ("the same, saturating, s", f"{explore['seconds_100000_saturating']:.0f}", "180", "-", "-"),
         ("1 000 000 of 5 000 steps, resumed once, s", f"{explore['seconds_million_short']:.0f}", "180", "-", "-"),
-        ("memory of a process in them, MB", f"{explore['memory_mb']:.0f}", "2000 in all", "-", "-"),
+        ("memory of all processes in them, MB", f"{explore['memory_mb']:.0f}", "2000", "-", "-"),
+        ("exponent of cost over loops, steps, states", _exponents(explore, "exponents"), "1.05", "-", "-"),
+        ("the same at the greatest numbers", _exponents(explore, "last_exponents"), "-", "-", "-"),
         ("Dask and files beside the loops, %", f"{100 * explore['dask_share']:.1f}", "5", "-", "-"),
     ]
+
+
+def _exponents(explore: dict[str, Any], which: str) -> str:
+    """Of the cost over loops, steps and states; 1 is linear."""
+    return ", ".join(f"{explore['cost'][which][name]:.2f}" for name in ("loops", "steps", "states"))
 
 
 def campaign_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:

@@ -12,17 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 from claims import Claim
 from isolation import isolated
 
 from abrace.benchmark.criteria import OF_RESPONSE, criteria, peaks
 from abrace.benchmark.frame_benchmark import FrameBenchmark
-from abrace.benchmark.recorded import of_tests
-from abrace.campaign.course import run_campaign
-from abrace.report.recorded import recorded_tests
+from abrace.benchmark.live import run_live
 from abrace.report.table import Table
-from abrace_bags import read_run
 from abrace_core.controller_file import save_controller
 
 if TYPE_CHECKING:
@@ -31,20 +27,15 @@ if TYPE_CHECKING:
 
 CASE = 1
 """Of the benchmark's: El Centro as recorded."""
-LOW_CUT = 0.05
-"""Hz, below which the table does not move: as recorded the motion ends 3.8 m off."""
-RATE_LIMIT = 1e9
-"""Of the devices' commands [N/s], none within a sample."""
 SEEDS = range(1, 9)
 """Of the noise of offline runs, whose mean counts."""
-FREE, CONTROLLED = "free", "controlled"
 TOLERANCE, TOLERANCE_J3 = 0.05, 0.12
 """J3 is a peak of the sum of twenty accelerometers, whose noise alone scatters it by some 5 %."""
 
 
 def verify_live(benchmark: FrameBenchmark, law: Controller) -> tuple[dict[str, Any], list[Claim], Table]:
     """Values, claims and the table of a `law` in the live graph beside its runs offline."""
-    measured, offline = run_live(benchmark, law), as_measured(benchmark, law)
+    measured, offline = measured_live(benchmark, law), as_measured(benchmark, law)
     exact, _ = benchmark.evaluate(law, benchmark.definition.cases[CASE : CASE + 1])[_name(benchmark)]
     errors = {name: abs(measured[name] / offline[name] - 1) for name in OF_RESPONSE}
     j3 = errors.pop("J3")
@@ -60,27 +51,13 @@ def verify_live(benchmark: FrameBenchmark, law: Controller) -> tuple[dict[str, A
     return values, claims, Table(title, (_name(benchmark), "bags", "offline, measured", "offline, exact"), rows)
 
 
-def run_live(benchmark: FrameBenchmark, law: Controller) -> dict[str, float]:
+def measured_live(benchmark: FrameBenchmark, law: Controller) -> dict[str, float]:
     """Criteria from the bags of a campaign in lockstep: the case without control and with a `law`."""
-    ground = benchmark.ground(benchmark.definition.cases[CASE])
-    time = np.arange(len(ground)) * benchmark.definition.sample_period
     with isolated():
-        np.savetxt(
-            "ground.csv", np.column_stack([time, ground]), "%.9g", ",", header="time [s],acc [m/s^2]", comments=""
-        )
         save_controller(law, Path("law.yaml"))
-        motion = {"record": "ground.csv", "low_cut": LOW_CUT, "band_limit": 0.0}
-        test = {"duration": benchmark.definition.duration, "ground_motion": motion}
-        controlled = {**test, "controller": "law.yaml", "rate_limit": RATE_LIMIT}
-        steps = [{"name": FREE, "test": test}, {"name": CONTROLLED, "test": controlled}]
-        content = {"name": "storeys", "rig": benchmark.definition.frame, "lockstep": True, "steps": steps}
-        Path("storeys.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-        outcome = run_campaign(Path("storeys.yaml"))
-        if outcome.doubts:
-            raise RuntimeError(f"not to be trusted: {outcome.doubts[0]}")
-        bags = {found.step: found.bag for found in recorded_tests(outcome.results, [FREE, CONTROLLED])}
-        values, _ = of_tests(benchmark, read_run(bags[CONTROLLED]), read_run(bags[FREE]))
-    return values
+        case = benchmark.definition.cases[CASE]
+        ((values, _),) = run_live(benchmark, "law.yaml", Path(), [case]).values()
+    return dict(values)
 
 
 def as_measured(benchmark: FrameBenchmark, law: Controller) -> dict[str, float]:

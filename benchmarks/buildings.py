@@ -37,6 +37,7 @@ from abrace_sysid.figures import identification as figures
 from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.identification import Identification, identify
 from abrace_sysid.validation import compare
+from abrace_sysid.validity.judgement import judge
 
 if TYPE_CHECKING:
     from abrace_core.controller_file import Controller
@@ -87,9 +88,13 @@ def chain(name: str) -> dict[str, Any]:
         return time.process_time()
 
     begin = time.process_time()
-    found = identify(*tests, IdentificationOptions(table_band=(0.3, HIGHEST[name])))
+    options = IdentificationOptions(table_band=(0.3, HIGHEST[name]))
+    found = identify(*tests, options)
     begin = timed("identify, with the reduction", begin)
-    for model, content in (("model", found.model), ("reduced", found.reduced), ("superposed", found.superposed)):
+    validity = judge(tests[:1], tests[1:], options, found).validity
+    begin = timed("judge", begin)
+    save_model(found.model, folder / "model.json", found.covariance)
+    for model, content in (("reduced", found.reduced), ("superposed", found.superposed)):
         save_model(content, folder / f"{model}.json")
     proof, controller, _ = design_to_file(
         [str(folder / f"{model}.json") for model in ("reduced", "model", "superposed")],
@@ -124,6 +129,7 @@ def chain(name: str) -> dict[str, Any]:
         "states": {"model": found.model.order, "reduced": found.reduced.order},
         "delays_ms": [round(1e3 * delay, 4) for delay in found.model.input_delay],
         "margins": proof.summary(),
+        "validity": validity.verdict.words,
         "warnings": list(found.warnings),
         "step_seconds": seconds,
         "seconds": sum(seconds.values()),

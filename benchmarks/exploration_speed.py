@@ -41,7 +41,7 @@ def exploration_speed() -> dict[str, Any]:
 
 def measure() -> dict[str, Any]:
     """Seconds; for bench.json."""
-    from abrace_lqg.exploration.cluster import cluster
+    from abrace_lqg.batches.cluster import cluster
     from abrace_lqg.exploration.ensemble import noise_motion
     from abrace_lqg.exploration.run import explore
     from abrace_lqg.exploration.study import Study, evaluate
@@ -53,8 +53,10 @@ def measure() -> dict[str, Any]:
     rig = load_rig(SOURCE / "abrace_plant/config/ncree_three_storey.yaml")
     laboratory = Laboratory(rig)
     models = identify(laboratory.multisine_test(True, False), laboratory.multisine_test(False, True))
-    records = [noise_motion(seed, SECONDS, (0.1, 10.0), PERIOD).scaled(PEAK) for seed in range(RECORDS)]
-    study = Study.of(models.reduced, models.model, records, capacity=rig.capacity, sample_period=PERIOD)
+    records = [noise_motion(seed, SECONDS, (0.1, 10.0), PERIOD) for seed in range(RECORDS)]
+    study = Study.of(
+        models.reduced, [models.model], records, intensities=[PEAK], capacity=rig.capacity, sample_period=PERIOD
+    )
     sets = weight_sets(load_weights(SOURCE / "abrace_lqg/config/lqg3.yaml"), SPANS, SETS - 1, 0)
 
     evaluate(study, 0, sets[0])
@@ -85,7 +87,7 @@ def measure() -> dict[str, Any]:
         "processes": processes,
         "sets": len(outcomes),
         "refused": sum(bool(outcome.refused) for outcome in outcomes),
-        "loops": sum(len(outcome.records) for outcome in outcomes),
+        "loops": sum(outcome.loops for outcome in outcomes),
         "steps": len(records[0].ground_acceleration),
         "saturated_samples": sum(outcome.saturated for outcome in outcomes),
         "one_set_cpu_ms": 1e3 * a_set,

@@ -38,7 +38,7 @@ from abrace_core.linear_model import LinearModel
 from abrace_core.controller_file import Controller
 from abrace_core.errors import AbraceError
 from abrace_core.loop_extremes import Motions
-from abrace_lqg.exploration.run import compute_missing
+from abrace_lqg.batches.missing import compute_missing
 from abrace_lqg.fragility import study as module
 from abrace_lqg.fragility.loops import compute_batch
 from abrace_plant.rig.file import load_rig
@@ -49,7 +49,7 @@ law = LinearModel([[0.998]], [[0.002]], [[-3.0e4]], [[0.0]], ("a1",), ("U",), 0.
 controller = Controller("damper", law, np.zeros((1, 1)), np.zeros((1, 2)), np.array([8000.0]), "", "", "")
 motions = Motions.of(np.random.default_rng(seed).standard_normal(20_000) / 4 for seed in range(10))
 study = module.FragilityStudy(
-    (rig.model,) * 60, (controller,), (module.Fault("a1", 0.0),), motions, tuple("0123456789"), (1.0, 6.0), (), 0.002
+    (rig.model,) * 6000, (controller,), (module.Fault("a1", 0.0),), motions, tuple("0123456789"), (1.0, 6.0), (), 0.002
 )
 try:
     compute_missing(compute_batch, study, study.batches(), sys.argv[1], scheduler=sys.argv[2], workers=2)
@@ -124,6 +124,8 @@ def run(kills: int, seed: int, folder: Path) -> dict[str, Any]:
             time.sleep(0.05)
     finally:
         laboratory.end()
+    if len(killed) < kills:
+        raise RuntimeError(f"the study was over after {len(killed)} kills, expected {kills}: a longer one is needed")
     files = sorted((folder / "loops").iterdir())
     sums = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.suffix == ".parquet"}
     return {"files": sums, "killed": killed, "starts": laboratory.starts}
@@ -135,11 +137,15 @@ def fragility_endurance(kills: int = KILLS, seed: int = SEED) -> dict[str, Any]:
         undisturbed, disturbed = (Path(stack.enter_context(tempfile.TemporaryDirectory())) for _ in range(2))
         expected = run(0, seed, undisturbed)["files"]
         found = run(kills, seed, disturbed)
+    names = {*expected, *found["files"]}
+    differing = sorted(name for name in names if expected.get(name) != found["files"].get(name))
+    if differing:
+        print("differing:", *differing, file=sys.stderr)
     return {
         "files": len(expected),
         "kills": {name: found["killed"].count(name) for name in sorted(set(found["killed"]))},
         "starts": found["starts"],
-        "differing": sum(expected.get(name) != found["files"].get(name) for name in {*expected, *found["files"]}),
+        "differing": len(differing),
     }
 
 

@@ -9,15 +9,18 @@ short       1 000 000 linear loops of 5 000 steps: 1000 models, 20 controllers, 
             half of the batches are written, and is started again
 
 The loops with zero command, one for twenty others, and the starts and ends of the processes are part of the time, not
-of the count. `kernel` is the processor time of one loop in this process, without Dask and files; `cost` the same over
-steps, states and loops. `dask_share` is what Dask and files cost: processor seconds of all processes over those of the
-plain kernel in them, less one.
+of the count. `memory_mb` is the greatest sum over all processes at one time, what they share counted once (PSS).
+`kernel` is the processor time of one loop in this process, without Dask and files; `cost` the same over steps, states
+and loops, and the time of several processes. Its `exponents` are those of power laws fitted to it, 1 is linear;
+`last_exponents` are those between the two greatest numbers. `dask_share` is what Dask and files cost: processor seconds
+of all processes over those of the plain kernel in them, less one.
 
 python benchmarks/fragility_speed.py [linear] [saturating] [short] [kernel] [cost] [dask]    # all without a name
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import resource
@@ -44,6 +47,8 @@ WEAK, STRONG = (0.3,), (8.0, 9.0, 10.0, 11.0)
 SIZES = {"linear": (100, 50_000, WEAK), "saturating": (25, 50_000, STRONG), "short": (1000, 5_000, WEAK)}
 """Models, steps and intensities of each."""
 TURNS = 5
+LOOK = 0.25
+"""Between two looks at the memory of all processes [s]."""
 
 
 def study(models: int, steps: int, intensities: tuple[float, ...], noises: int = NOISES) -> FragilityStudy:
@@ -88,7 +93,7 @@ def study(models: int, steps: int, intensities: tuple[float, ...], noises: int =
 
 def loops_of(folder: Path) -> dict[str, int]:
     """Closed loops among the rows of a folder, and those of them with a command at its limit."""
-    from abrace_lqg.exploration.parts import read_parts
+    from abrace_lqg.batches.parts import read_parts
 
     table = read_parts(folder, ["controller", "saturated"]).to_pandas()
     closed = table[table["controller"] != "zero command"]
@@ -97,7 +102,7 @@ def loops_of(folder: Path) -> dict[str, int]:
 
 def run(which: str, folder: Path) -> None:
     """Compute what a folder does not have yet; prints when the study is made."""
-    from abrace_lqg.exploration.run import compute_missing
+    from abrace_lqg.batches.missing import compute_missing
     from abrace_lqg.fragility.loops import compute_batch
 
     given = study(*SIZES[which])
@@ -116,8 +121,10 @@ def in_process(which: str, folder: Path, until: float = 1.0) -> dict[str, float]
         assert process.stdout is not None
         count = int(process.stdout.readline())
         made = time.perf_counter()
-        while until < 1.0 and len(list(folder.glob("part-*"))) < until * count and process.poll() is None:
-            time.sleep(0.05)
+        memory = 0.0
+        while process.poll() is None and (until == 1.0 or len(list(folder.glob("part-*"))) < until * count):
+            memory = max(memory, _memory_mb(process.pid))
+            time.sleep(LOOK)
         if until < 1.0:
             process.send_signal(signal.SIGINT)
             process.wait()
@@ -127,8 +134,21 @@ def in_process(which: str, folder: Path, until: float = 1.0) -> dict[str, float]
         "seconds": time.perf_counter() - made,
         "study_seconds": made - begin,
         "cpu_seconds": used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime,
-        "memory_mb": used.ru_maxrss / 1024,
+        "memory_mb": memory,
     }
+
+
+def _memory_mb(number: int) -> float:
+    """Of the process with this `number` and all its descendants, what they share counted once."""
+    import psutil
+
+    total = 0
+    with contextlib.suppress(psutil.NoSuchProcess):
+        main = psutil.Process(number)
+        for each in (main, *main.children(recursive=True)):
+            with contextlib.suppress(psutil.Error):
+                total += each.memory_full_info().pss
+    return total / 1e6
 
 
 def whole(which: str) -> dict[str, Any]:
@@ -139,7 +159,7 @@ def whole(which: str) -> dict[str, Any]:
         size = sum(path.stat().st_size for path in folder.glob("part-*"))
         return {
             **{key: sum(turn[key] for turn in turns) for key in ("seconds", "study_seconds", "cpu_seconds")},
-            "memory_mb_of_a_process": max(turn["memory_mb"] for turn in turns),
+            "memory_mb": max(turn["memory_mb"] for turn in turns),
             "disk_mb": size / 1e6,
             **loops_of(folder),
         }
@@ -194,28 +214,40 @@ def _larger(given: FragilityStudy, extra: int) -> Any:
     return replace(model, a=a, b=b, c=np.hstack([model.c, np.zeros((len(model.c), extra))]))
 
 
-def drawn_cost(path: Path) -> dict[str, list[tuple[float, float]]]:
-    """Cost over loops, steps, states and workers, drawn."""
+def exponents(costs: dict[str, list[tuple[float, float]]]) -> dict[str, float]:
+    """Of power laws fitted to `costs`: 1 is in proportion; -1, of the time over workers, in inverse proportion."""
+    found = {name: np.log(np.array(points)).T for name, points in costs.items()}
+    return {name: float(np.polyfit(x, y, 1)[0]) for name, (x, y) in found.items()}
+
+
+def drawn_cost(path: Path) -> dict[str, Any]:
+    """Cost over loops, steps, states and workers, drawn, with its exponents."""
     from matplotlib.figure import Figure
 
     from abrace_core.drawing import MEASURED, REFERENCE, save_figure
 
     found = cost() | {"workers": workers()}
     figure = Figure(figsize=(12, 3.4), layout="constrained")
+    fitted = exponents({name: points for name, points in found.items() if len(points) > 1})
     for axis, (name, points) in zip(figure.subplots(1, 4), found.items(), strict=True):
         x, y = np.array(points).T
         axis.loglog(x, y, "o-", color=MEASURED)
         axis.loglog(x, y[0] * (x / x[0]) ** (-1 if name == "workers" else 1), "--", color=REFERENCE)
-        axis.set(xlabel=name, ylabel="s" if name == "workers" else "processor ms")
+        axis.set(
+            xlabel=name,
+            ylabel="s" if name == "workers" else "processor ms",
+            title=f"exponent {fitted.get(name, 0):.2f}",
+        )
         axis.grid(alpha=0.3)
     save_figure(figure, path)
-    return found
+    last = exponents({name: points[-2:] for name, points in found.items() if len(points) > 1})
+    return {**found, "exponents": fitted, "last_exponents": last}
 
 
 def dask_share() -> dict[str, float]:
     """What Dask and files cost for batches of a second: processor time outside `compute_batch` over that inside."""
-    from abrace_lqg.exploration.cluster import cluster, compute
-    from abrace_lqg.exploration.parts import Parts
+    from abrace_lqg.batches.cluster import cluster, compute
+    from abrace_lqg.batches.parts import Parts
 
     given = study(8, 50_000, WEAK)
     batches = given.batches()
@@ -254,7 +286,7 @@ def _all_cpu() -> float:
 
 def workers() -> list[tuple[float, float]]:
     """Seconds of a thousand linear loops by the number of processes of this machine."""
-    from abrace_lqg.exploration.cluster import cluster, compute
+    from abrace_lqg.batches.cluster import cluster, compute
     from abrace_lqg.fragility.loops import compute_batch
 
     given = study(1, 50_000, WEAK)
@@ -287,7 +319,7 @@ def fragility_speed() -> dict[str, Any]:
         "seconds_100000": many["linear"]["seconds"],
         "seconds_100000_saturating": many["saturating"]["seconds"],
         "seconds_million_short": many["short"]["seconds"],
-        "memory_mb": max(each["memory_mb_of_a_process"] for each in many.values()),
+        "memory_mb": max(each["memory_mb"] for each in many.values()),
         "many": many,
         **found.pop("dask"),
         **found,

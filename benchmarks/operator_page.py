@@ -2,7 +2,8 @@
 """The operator's page in headless Chromium against the running graph: from a click to zero command; its memory.
 
 passed, runs            clicks on STOP, and those after which the command was zero for good within 50 ms and the ramp
-click_to_stop_ms_worst  from a click to zero command, less the ramp
+click_to_stop_ms_worst, click_to_stop_ms_median  from a click to zero command, less the ramp
+repeated                clicks repeated, because the rig had a fault before them: the machine was held up
 
 The click is when it is given to the browser; the force is that of an excitation by the clock.
 
@@ -50,6 +51,12 @@ FORCE = 2e3
 """Newtons with which the braces push when STOP is clicked."""
 WARM_UP = 60.0
 """Seconds after which memory is measured first: all traces are full."""
+HOUR = 3600.0
+"""Seconds for which the page is open in `make soak`."""
+GROWTH_LIMIT = 0.05
+"""Share by which server and page may grow in that time."""
+PARTS = 6
+"""Measurements of memory after the first."""
 
 
 def page_address(graph: Graph, name: str = "operator") -> str:
@@ -105,10 +112,12 @@ def _stamp(sample: Response) -> int:
 def stops(runs: int = RUNS) -> dict[str, Any]:
     """So many clicks; call it on a domain of one's own."""
     taken: list[float] = []
+    repeated = 0
     with opened() as (rig, tab, _):
         for _ in range(TRIES * runs):
             found = click_to_stop(rig, tab)
             if found is None:
+                repeated += 1
                 print("repeated: the machine was held up, and that is a fault", file=sys.stderr, flush=True)
                 continue
             taken.append(found)
@@ -120,6 +129,7 @@ def stops(runs: int = RUNS) -> dict[str, Any]:
         "runs": runs,
         "click_to_stop_ms_worst": round(max(taken), 1),
         "click_to_stop_ms_median": round(sorted(taken)[len(taken) // 2], 1),
+        "repeated": repeated,
     }
 
 
@@ -143,11 +153,13 @@ def memory(seconds: float) -> dict[str, Any]:
                 del rig.responses[:-1], rig.commands[:-1]
             tab.evaluate("1")
 
-        begin = time.monotonic()
-        left_open(begin + WARM_UP)
-        first = measured()
-        left_open(begin + WARM_UP + seconds)
-        last = measured()
+        begin = time.monotonic() + WARM_UP
+        left_open(begin)
+        first = last = measured()
+        for part in range(1, PARTS + 1):
+            left_open(begin + seconds * part / PARTS)
+            last = measured()
+            print(f"{seconds * part / PARTS:.0f} s of {seconds:.0f} s: {last} MB", flush=True)
     growth = {name: round(last[name] / first[name] - 1, 4) for name in first}
     return {"seconds": seconds, "first": first, "last": last, "growth": growth}
 
@@ -184,7 +196,7 @@ if __name__ == "__main__":
     with isolated() as here:
         match sys.argv[1:]:
             case ["memory", *given]:
-                print(json.dumps(memory(float(given[0]) if given else 3600.0), indent=1))
+                print(json.dumps(memory(float(given[0]) if given else HOUR), indent=1))
             case ["picture", file]:
                 picture(here / file)
             case given:

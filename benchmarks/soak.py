@@ -12,7 +12,9 @@ lockstep  the closed loop in lockstep, 20 minutes: memory of every node, and two
 campaign  one interrupted 20 times at random: results that are not those of one that was not
 fragility a study whose workers, scheduler and command are killed 20 times: files that are not those of one undisturbed
 joins   100 nodes that join a running rig and leave: how often it found no command in time
-viewer  10 minutes with a viewer of all samples at 500 Hz, and 10 without, in turns: samples lost, 99.9 % of the loop
+viewer  10 minutes with a viewer of all samples at 500 Hz, and 10 without, in turns: samples lost, 99.9 % of the loop;
+        then one loop, 10 minutes with the viewer without an interruption, 5 minutes before and 5 after without
+page    the operator's page open for an hour at 500 Hz: what its server and the browser grow by; needs Chromium
 
 python benchmarks/soak.py SECONDS    # another duration of the first
 """
@@ -24,8 +26,9 @@ import os
 import sys
 import threading
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from browser import CHROMIUM
 from campaign_endurance import campaign_endurance
 from controller_speed import lqg3
 from ends import failures, measure
@@ -34,7 +37,8 @@ from isolation import isolated
 from joins import joins
 from lockstep_endurance import MEMORY_LIMIT, lockstep_endurance
 from logger_endurance import LOAD, cpu_seconds, flood_rates, running
-from viewer import RATIO_LIMIT, viewer_cost
+from operator_page import GROWTH_LIMIT, HOUR, memory
+from viewer import RATIO_LIMIT, continuous, viewer_cost
 from wrong_endurance import CAPACITY, RATE_STEP
 from wrong_endurance import measure as wrong_messages
 
@@ -44,6 +48,9 @@ from abrace_bags import read_topics
 from abrace_bags.losses import lost_messages
 from abrace_core.controller_file import save_controller
 from abrace_core.files import write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 DURATION = 600.0
 CAMPAIGN = """name: soak
@@ -125,6 +132,27 @@ def record_graph(duration: float) -> dict[str, Any]:
     }
 
 
+def viewer_table(turns: Mapping[str, Any], continuous_run: Mapping[str, Any]) -> Table:
+    """What `viewer.viewer_cost` and `viewer.continuous` give."""
+    limit = f"{RATIO_LIMIT}"
+    rows = (
+        (f"samples lost of {turns['samples']}, with a viewer of them all", f"{turns['lost']}", "0"),
+        ("samples that the viewer was not shown", f"{turns['not_shown']}", "0"),
+        ("sample to command, 99.9 %, with over without a viewer", f"{turns['p999_ratio']:.2f}", limit),
+        (f"samples lost of {continuous_run['samples']} without an interruption", f"{continuous_run['lost']}", "0"),
+        ("99.9 % then, with over without a viewer", f"{continuous_run['p999_ratio']:.2f}", limit),
+    )
+    return Table("A viewer beside the loop", ("what", "reached", "asked"), rows)
+
+
+def page_table(page: Mapping[str, Any]) -> Table:
+    """What `operator_page.memory` gives."""
+    title = f"The operator's page, open for {page['seconds']:.0f} s after the first minute"
+    growth = page["growth"].items()
+    rows = tuple((f"growth of {name.replace('_', ' ')}", f"{share:.3f}", f"{GROWTH_LIMIT}") for name, share in growth)
+    return Table(title, ("memory", "reached", "asked"), rows)
+
+
 def main() -> int:
     """Measure, write, print."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -138,6 +166,8 @@ def main() -> int:
         lockstep = lockstep_endurance()
         campaign = campaign_endurance()
         viewer = viewer_cost()
+        uninterrupted = continuous()
+        page = memory(HOUR) if CHROMIUM is not None else None
         fragility = fragility_endurance()
     values = {
         "logger": logger,
@@ -146,7 +176,8 @@ def main() -> int:
         "wrong": wrong,
         "lockstep": lockstep,
         "campaign": campaign,
-        "viewer": viewer,
+        "viewer": {**viewer, "continuous": uninterrupted},
+        "page": page or {"not measured": "no chromium on this machine"},
         "fragility": fragility,
     }
     write_text("results/soak.json", json.dumps(values, indent=1) + "\n")
@@ -186,12 +217,9 @@ def main() -> int:
         ),
     )
     print(Table("Nodes in the long run", ("what", "reached", "asked"), endured).text())
-    watched = (
-        (f"samples lost of {viewer['samples']}, with a viewer of them all", f"{viewer['lost']}", "0"),
-        ("samples that the viewer was not shown", f"{viewer['not_shown']}", "0"),
-        ("sample to command, 99.9 %, with over without a viewer", f"{viewer['p999_ratio']:.2f}", f"{RATIO_LIMIT}"),
-    )
-    print(Table("A viewer beside the loop", ("what", "reached", "asked"), watched).text())
+    print(viewer_table(viewer, uninterrupted).text())
+    if page:
+        print(page_table(page).text())
     missed = (
         joined["faults"],
         wrong["not_finite"],
@@ -204,6 +232,9 @@ def main() -> int:
         campaign["left"],
         viewer["lost"],
         viewer["p999_ratio"] > RATIO_LIMIT,
+        uninterrupted["lost"],
+        uninterrupted["p999_ratio"] > RATIO_LIMIT,
+        page and max(page["growth"].values()) > GROWTH_LIMIT,
         fragility["differing"],
     )
     if any(missed):

@@ -4,14 +4,18 @@
 from __future__ import annotations
 
 import textwrap
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import yaml
 
 from abrace.benchmark.definition import Definition, RigDefinition
 from abrace.campaign import done, file
 from abrace.report import results
 from abrace_core.config_file import Checked
 from abrace_core.controller_file import _File as ControllerFile
+from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_lqg.weights import Weights
 from abrace_plant.devices.calibration import CalibrationFile
@@ -26,18 +30,21 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 PAGE = Path(__file__).parent / "files.md"
+MEANINGS = Path(__file__).parent / "key_meanings.yaml"
 UNBOUNDED = 1e15
 """Bounds as large as this only keep numbers finite."""
 
 INTRODUCTION = """# Files, key by key
 
-Written by `python docs/write_files.py` from the schemas that check the files. A file that people write is YAML. An
+Written by `python docs/write_files.py` from the schemas that check the files, with the meanings of the keys from
+`docs/key_meanings.yaml`. A file that people write is YAML. An
 unknown key, a value of another type or one out of its range is refused, in one line that names the file, the key, the
 value and what was expected.
 
 `a.b` is the key `b` in `a`. `a[].b` is `b` of each entry of the list `a`. In `a.*.b` the star is one of the names in
 the line `a.*`, or a name that you choose. A key without a default has to be given; one with the default "none" may be
-left out. What a key means is on the page that is linked above its table.
+left out. Units are those of the SI unless the meaning gives another. More on the keys is on the page that is linked
+above each table.
 """
 
 
@@ -207,11 +214,38 @@ def _default(content: Mapping[str, Any]) -> str:
     return f"`{str(default).lower() if isinstance(default, bool) else default}`" if default != "" else "empty"
 
 
+@cache
+def meanings() -> dict[str, dict[str, str]]:
+    """The meanings of keys, by the heading of their file; those of `Results` are for all results."""
+    found: dict[str, dict[str, str]] = yaml.safe_load(MEANINGS.read_text(encoding="utf-8"))
+    return found
+
+
+def entry(title: str, key: str) -> tuple[str, str]:
+    """Where MEANINGS has the meaning of a `key` of the file with this `title`: heading, and the key's last parts.
+
+    Raises
+    ------
+    AbraceError
+        If it has none.
+    """
+    parts = key.split(".")
+    for heading in (title, title.partition(": ")[0]):
+        for start in range(len(parts)):
+            ending = ".".join(parts[start:])
+            if ending in meanings().get(heading, {}):
+                return heading, ending
+    raise AbraceError(f"{MEANINGS.name}: {title}: {key}: no meaning, expected one phrase")
+
+
 def section(described: Described) -> str:
     """A file's heading, what it is, and the table of its keys."""
     found = [row for place, schema in described.schemas.items() for row in rows(schema, place)]
-    lines = ["| key | type | default | allowed |", "|---|---|---|---|"]
-    lines += [f"| `{row.key}` | {row.kind} | {row.default} | {row.allowed} |" for row in found]
+    lines = ["| key | what it is | type | default | allowed |", "|---|---|---|---|---|"]
+    for row in found:
+        heading, ending = entry(described.title, row.key)
+        meaning = meanings()[heading][ending]
+        lines.append(f"| `{row.key}` | {meaning} | {row.kind} | {row.default} | {row.allowed} |")
     about = "\n".join(textwrap.wrap(described.about, 120))
     return f"### {described.title}\n\n{about}\n\n" + "\n".join(lines) + "\n"
 

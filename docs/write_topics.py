@@ -23,6 +23,7 @@ from write_nodes import NODES, node_class
 from abrace.nodes import operator_commands
 from abrace.nodes.graph_monitor import GraphMonitor
 from abrace.nodes.graph_operator import GraphOperator
+from abrace_bringup.nodes import markers, viewer_operations
 from abrace_core.files import write_text
 from abrace_core.node import DIAGNOSTICS, KEPT_STREAM_QOS, AbraceLifecycleNode, stop_listener
 
@@ -39,8 +40,10 @@ Written by `python docs/write_topics.py` from the nodes' source. A name without 
 (`rig` in launch files); `~` is the node's own name. *Last N*: so many messages are kept for a subscription that is
 late. *Transient local*: the last ones are also sent to subscriptions that come later.
 
-`logger` subscribes to the topics that it records, with the most that all publishers of a topic offer. `replay`
-publishes the topics of its bag with the QoS that was recorded, at least the last {KEPT_STREAM_QOS.depth} messages.
+`logger` subscribes to the topics that it records, with the most that all publishers of a topic offer. `viewer`
+subscribes to the topics that its clients have subscribed to, best effort, to transient local ones reliably; it
+publishes `/emergency_stop` only with its parameter `operate`. `replay` publishes the topics of its bag with the QoS
+that was recorded, at least the last {KEPT_STREAM_QOS.depth} messages.
 What this QoS does on a network: [two machines](network.md#topics).
 """
 STANDARD = """Every node has ROS's services of parameters (`~/get_parameters`, `~/set_parameters`, ...), and
@@ -65,7 +68,11 @@ WHEN = "when it is created"
 """Among the names: words in front of the QoS of what is created in one case alone."""
 NOT_LISTED = ("topic.name",)
 """Topics whose names are in a bag: the introduction tells of them."""
-BESIDE: Mapping[str, tuple[Any, ...]] = {"supervisor": (GraphMonitor,), "operator": (GraphOperator,)}
+BESIDE: Mapping[str, tuple[Any, ...]] = {
+    "supervisor": (GraphMonitor,),
+    "operator": (GraphOperator,),
+    "viewer": (viewer_operations.Operations, markers.Markers),
+}
 """What creates topics of a node in another class."""
 COMMANDS = {"abrace stop": (operator_commands.stop,), "abrace status": (GraphOperator,)}
 
