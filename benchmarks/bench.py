@@ -6,7 +6,7 @@ simulation     50 000 closed-loop steps, linear and saturated, against scipy's l
 plant_step_us  a sample of the simulated rig as the node `plant` takes it, against a round trip of the echo below
 lockstep       the demo's closed loop (plant, ground motion, controller, logger, each a process of its own) against a
                bare echo of the same messages between two processes, and a bare graph of four, measured just before and
-               just after
+               just after; all of them with the least real-time priority, where allowed, and once more without
 controller, loop, lqr_agreement  a step of LQG3, its answer over DDS and the echo, its gains and python-control's
 explore        1000 closed loops of 50 000 steps, designs and margins included, on all cores; 100 000 of them, linear
                and saturating, and a million of 5 000 steps, from models to files; their cost drawn
@@ -23,11 +23,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -61,11 +61,13 @@ HERE = Path(__file__).parent.resolve()
 ECHO_COUNT = 20_000
 PLANT_STEPS = 20_000
 SAMPLE_RATE = 500.0
+LEAST_PRIORITY = 1
+"""SCHED_FIFO priority."""
 
 
-def round_trips(*answers: str, listeners: int = 0) -> float:
+def round_trips(priority: int, *answers: str, listeners: int = 0) -> float:
     """Round trips a second of bare processes that answer on these topics, with others that listen."""
-    script = [sys.executable, str(HERE / "echo.py")]
+    script = [sys.executable, str(HERE / "echo.py"), str(priority)]
     others = [[*script, "answer", topic] for topic in answers] + [[*script, "listen"]] * listeners
     with contextlib.ExitStack() as ending:
         for command in others:
@@ -77,22 +79,28 @@ def round_trips(*answers: str, listeners: int = 0) -> float:
     return float(asking.stdout)
 
 
-def bare_rates() -> tuple[float, float]:
+def bare_rates(priority: int) -> tuple[float, float]:
     """Round trips a second of the echo, and of the bare graph of the lockstep graph's shape."""
-    return round_trips("brace_command"), round_trips("brace_command", "ground_motion", listeners=1)
+    echo = round_trips(priority, "brace_command")
+    return echo, round_trips(priority, "brace_command", "ground_motion", listeners=1)
 
 
-def lockstep() -> dict[str, Any]:
-    """Samples a second of the lockstep graph; and round trips of an echo, and of a bare graph, before and after it."""
+def lockstep(priority: int) -> dict[str, Any]:
+    """Samples a second of the lockstep graph; and round trips of an echo, and of a bare graph, before and after it.
+
+    All loops have a SCHED_FIFO `priority`, where the machine allows it; 0: none.
+    """
     save_controller(lqg3(), "lqg3.yaml")
-    campaign = Path(shutil.copy(HERE / "lockstep.yaml", "."))  # its controller is the one beside it
-    before = bare_rates()
+    campaign = Path(f"lockstep_{priority}.yaml")  # its controller is the one beside it
+    write_text(campaign, (HERE / "lockstep.yaml").read_text(encoding="utf-8") + f"thread_priority: {priority}\n")
+    before = bare_rates(priority)
     results = run_campaign(campaign).results
-    after = bare_rates()
+    after = bare_rates(priority)
     (step,) = json.loads((results / "timing.json").read_text(encoding="utf-8"))["steps"]
     rate = step["samples"] / step["run_seconds"]
     echo, graph = ((one + other) / 2 for one, other in zip(before, after, strict=True))
     return {
+        "thread_priority": priority,
         "samples_per_second": rate,
         "real_time_factor": rate / SAMPLE_RATE,
         "echo_per_second": echo,
@@ -100,6 +108,20 @@ def lockstep() -> dict[str, Any]:
         "bare_graph_per_second": graph,
         "ratio_to_bare_graph": rate / graph,
     }
+
+
+def lockstep_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the table: a lockstep run with and without a priority, against the echo and the bare graph."""
+    rows: list[tuple[str, ...]] = []
+    for values, asked in ((found, "0.7 x"), (found["without_priority"], "-")):
+        title = f"lockstep, thread_priority {values['thread_priority']}, x real time"
+        reached = f"{values['real_time_factor']:.2f}"
+        rows.append(
+            (title, reached, asked, f"bare echo {values['echo_per_second']:.0f}/s", f"{values['ratio_to_echo']:.2f}")
+        )
+        peer = f"bare graph {values['bare_graph_per_second']:.0f}/s"
+        rows.append(("", "", "-", peer, f"{values['ratio_to_bare_graph']:.2f}"))
+    return rows
 
 
 def plant_step() -> float:
@@ -245,8 +267,9 @@ def main() -> None:
         "bags": measured("bags", bag_reading),
     }
     with isolated():
-        found["lockstep"] = measured("lockstep", lockstep)
-        (bag,) = Path("bags/bench").glob("*/closed_loop")
+        without = measured("lockstep without a priority", partial(lockstep, 0))
+        found["lockstep"] = measured("lockstep", partial(lockstep, LEAST_PRIORITY)) | {"without_priority": without}
+        bag = max(Path("bags/bench").glob("*/closed_loop"))
         found["reading"] = reading(bag)
         found |= measured("controller", controller_speed)
         found["report"] = measured("report", report_speed)
@@ -254,7 +277,6 @@ def main() -> None:
     write_text("results/bench.json", json.dumps(found, indent=1) + "\n")
     loop, bags, step = found["lockstep"], found["reading"], found["plant_step_us"]
     trip = 1e6 / loop["echo_per_second"]
-    echo = f"bare echo {loop['echo_per_second']:.0f}/s"
     rows = (
         *simulation_rows(found["simulation"]),
         (
@@ -264,8 +286,7 @@ def main() -> None:
             f"round trip {trip:.0f} us",
             f"{trip / step:.1f}",
         ),
-        ("lockstep, x real time", f"{loop['real_time_factor']:.2f}", "0.7 x", echo, f"{loop['ratio_to_echo']:.2f}"),
-        ("", "", "-", f"bare graph {loop['bare_graph_per_second']:.0f}/s", f"{loop['ratio_to_bare_graph']:.2f}"),
+        *lockstep_rows(loop),
         (
             f"reading {bags['samples']} responses, s",
             f"{bags['seconds']:.2f}",

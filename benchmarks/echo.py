@@ -5,12 +5,13 @@ The peer of the lockstep graph: what DDS, rclpy and two processes cost for the s
 a second process that answers, on `ground_motion`, and one that listens to all it is a bare graph of the same shape as
 the lockstep graph.
 
-python benchmarks/echo.py answer TOPIC | listen | ask COUNT LISTENERS TOPIC...
+python benchmarks/echo.py PRIORITY (answer TOPIC | listen | ask COUNT LISTENERS TOPIC...)
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import time
 from array import array
@@ -98,12 +99,21 @@ def ask(count: int, listeners: int, topics: list[str]) -> None:
     print(count / (time.perf_counter() - begin))
 
 
-if __name__ == "__main__":
-    rclpy.init()
-    match remove_ros_args(sys.argv)[1:]:
+def main(priority: int, words: list[str]) -> None:
+    """Do what the `words` name, with a SCHED_FIFO `priority` where that is allowed; 0: none."""
+    if priority:
+        with contextlib.suppress(PermissionError):  # the nodes of the graph run without it then, too
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    rclpy.init()  # its threads inherit the priority
+    match words:
         case "answer", topic:
             answer(topic)
         case ("listen",):
             listen()
         case "ask", count, listeners, *topics:
             ask(int(count), int(listeners), topics)
+
+
+if __name__ == "__main__":
+    arguments = remove_ros_args(sys.argv)[1:]
+    main(int(arguments[0]), arguments[1:])

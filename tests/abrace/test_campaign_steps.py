@@ -13,6 +13,7 @@ from abrace.campaign.drivers import drivers, rig_node
 from abrace.campaign.drives import Record
 from abrace.campaign.file import Campaign, RigSetup, load_campaign
 from abrace.campaign.laboratory import Laboratories
+from abrace.campaign.runner import Runner
 from abrace.campaign.tasks import Compare, OwnController, OwnRig, RigTest, Validate
 from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS
 
@@ -220,3 +221,10 @@ def test_bags_and_models_of_other_campaigns_are_named_by_path(tmp_path: Path) ->
         ),
         Compare(test=f"{tmp_path}/./b", uncontrolled="/bags/c"),
     ]
+
+
+def test_loops_in_lockstep_have_the_priority_of_the_campaign(tmp_path: Path) -> None:
+    for top, expected in ((TOP, None), (f"{TOP}\nthread_priority: 1", 1)):
+        read = campaign(tmp_path, "{name: shaken, test: {duration: 9.0}}", top=top)
+        runner = Runner(read, Laboratories(read), tmp_path, tmp_path, -1)
+        assert runner.loop_parameters(0, lockstep=True).get("thread_priority") == expected
