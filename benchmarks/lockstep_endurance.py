@@ -2,6 +2,7 @@
 """Endurance of the closed loop in lockstep: two runs on the same nodes, 10 hours of the rig or 20 minutes in all.
 
 samples    of both runs
+lost       samples that were not received; they are in no block
 grown_mb   by node, greatest less smallest resident memory after the first minute
 compared   samples of the second run whose bytes were compared with those of the first, but for the run's number
 different  blocks of 10 000 samples that are not the same
@@ -21,10 +22,11 @@ from typing import Any
 
 from controller_speed import lqg3
 from isolation import isolated
-from running_graph import STREAM, Graph, graph_of_its_own
+from running_graph import Graph, graph_of_its_own
 
 from abrace_core.controller_file import save_controller
-from abrace_core.wire import read_header
+from abrace_core.node.conventions import LOCKSTEP_STREAM_QOS
+from abrace_core.wire import LAST, Responses, read_header
 from abrace_interfaces.msg import Response
 
 SECONDS = 1200.0
@@ -39,28 +41,29 @@ SEQUENCE_SIZE = RUN_SIZE = 8
 
 
 class Watch:
-    """Digests of the samples of each run, block by block."""
+    """Digests of the samples of each run, block by block; the rig waits for it, so that no sample is lost."""
 
     def __init__(self, graph: Graph) -> None:
         self.runs: list[list[str]] = []
-        self.samples = 0
-        self._run = b""
+        self.samples = self.lost = self.ended = 0
+        self._responses = Responses()
         self._digest = hashlib.blake2b()
-        self._count = 0
-        graph.node.create_subscription(Response, "response", self._on_response, STREAM, raw=True)
+        self._run = self._sequence = -1
+        graph.node.create_subscription(Response, "response", self._on_response, LOCKSTEP_STREAM_QOS, raw=True)
 
     def _on_response(self, payload: bytes) -> None:
-        begin = read_header(payload).offset + SEQUENCE_SIZE
-        end = begin + RUN_SIZE
-        run = payload[begin:end]
-        if run != self._run:
-            self._run, self._digest, self._count = run, hashlib.blake2b(), 0
+        _, head, _ = self._responses.unpack(payload)
+        if head.run != self._run:
+            self._run, self._sequence, self._digest = head.run, -1, hashlib.blake2b()
             self.runs.append([])
-        self._digest.update(payload[:begin])
-        self._digest.update(payload[end:])
         self.samples += 1
-        self._count += 1
-        if self._count % BLOCK == 0:
+        self.lost += head.sequence - self._sequence - 1
+        self._sequence = head.sequence
+        self.ended += bool(head.flags & LAST)
+        begin = read_header(payload).offset + SEQUENCE_SIZE
+        self._digest.update(payload[:begin])
+        self._digest.update(payload[begin + RUN_SIZE :])
+        if (head.sequence + 1) % BLOCK == 0:
             self.runs[-1].append(self._digest.hexdigest())
 
 
@@ -93,9 +96,11 @@ def _run_in_lockstep(graph: Graph, seconds: float) -> dict[str, Any]:
                 for name, process in graph.started.items():
                     memory[name].append(resident_mb(process.group))
         assert graph.change_state("plant", "deactivate")
+        graph.until(lambda run=run: watch.ended == run, "the last sample")  # type: ignore[misc]
     first, second = watch.runs
     return {
         "samples": watch.samples,
+        "lost": watch.lost,
         "seconds": time.monotonic() - begun,
         "grown_mb": {name: max(used, default=0.0) - min(used, default=0.0) for name, used in memory.items()},
         "compared": BLOCK * min(len(first), len(second)),
