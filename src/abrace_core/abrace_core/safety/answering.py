@@ -69,7 +69,7 @@ class Answering:
             Whether a command is not zero; None: taken from the outputs.
         """
         self.safety.configure(outputs, sample_period)
-        self._moving = moving or (lambda: any(any(output.value) for output in outputs))
+        self._moving = moving or (lambda: any(output.moving for output in outputs))
         self.watch = SampleWatch(sample_period, longest_gap)
 
     def activate(self) -> None:

@@ -182,7 +182,8 @@ class Interlocks:
         command
             (groups,) [N], in force until this sample, for one brace of each group.
         table_velocity, table_displacement
-            Of the commanded motion [m/s], [m].
+            Of the commanded motion: its velocity [m/s]; and the displacement at which the table can come to a
+            standstill at the earliest [m], as from `TableGuard.turning_point`.
         clipped
             Bit i: channel i is at the end of its range, as from `OverRange`.
 
