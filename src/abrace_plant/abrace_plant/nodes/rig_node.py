@@ -285,9 +285,9 @@ class RigNode(AbraceLifecycleNode):
         if self.loop is not None:
             values |= {"sequence": self.loop.sequence, **self.loop.counters()}
             values |= {f"clipped {name}": count for name, count in self.loop.clipped.items() if count}
-            utilisation, table = self.loop.interlocks.utilisation(), self.loop.interlocks.table
+            utilisation, greatest = self.loop.interlocks.utilisation(), self.loop.interlocks.greatest()
             values |= {f"interlock {name}": f"{100 * share:.0f} % of its limit" for name, share in utilisation.items()}
-            values |= {f"peak {name}": f"{utilisation[name] * table[name].value:.4g}" for name in PEAKS}
+            values |= {f"peak {name}": f"{greatest[name]:.4g}" for name in PEAKS}
             if warnings := self.loop.interlocks.warnings:
                 values["warning"] = "; ".join(map(str, warnings))
         return fault, self.safety.state.words if self.active else "not active", values
