@@ -11,7 +11,19 @@ import pytest
 from bridge_endurance import bridge_endurance
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from udp_target import CHANNELS, KINDS, LAYOUT, PERIOD, RIG, UdpTarget, device_file, free_ports, malformed, values_of
+from udp_target import (
+    CHANNELS,
+    CONFIG,
+    KINDS,
+    LAYOUT,
+    PERIOD,
+    RIG,
+    UdpTarget,
+    device_file,
+    free_ports,
+    malformed,
+    values_of,
+)
 
 from abrace_core.errors import AbraceError
 from abrace_plant.devices.device import DeviceError
@@ -279,6 +291,41 @@ def test_a_device_file_that_is_wrong_is_refused_by_its_key(tmp_path, old, new, m
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(AbraceError, match=f"device file {path}: {message}"):
         load(path, RIG)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "U: {gain: 2.5,",
+            "U: {gain: 2.0,",
+            "U of 24516.6 N, the capacity, reaches the device as 20000, expected a range",
+        ),
+        (
+            "w: {gain: 1.0,",
+            "w: {gain: 0.9,",
+            "w of 10 m/s\\^2, the table's peak_acceleration, reaches the device as 9,",
+        ),
+        ("U: {gain: 2.5, unit: kN,", "U: {gain: 2.5, unit: kN, offset: 2.0,", "U of 24516.6 N, .* as 20000, expected"),
+    ],
+)
+def test_outputs_that_end_before_the_limits_of_the_rig_are_refused(tmp_path, old, new, message):
+    path = device_file(tmp_path, calibrated=True)
+    own = (CONFIG / "device_parts/calibration.yaml").read_text()
+    assert old in own
+    (tmp_path / "own.yaml").write_text(own.replace(old, new))
+    path.write_text(path.read_text().partition("calibration: ")[0] + "calibration: own.yaml\n")
+    with pytest.raises(AbraceError, match=f"device file {path}: {message}"):
+        load(path, RIG)
+
+
+def test_an_output_of_a_type_without_a_sign_is_refused(tmp_path):
+    layout = tmp_path / "unsigned.yaml"
+    own = LAYOUT.read_text()
+    layout.write_text(own.replace("{field: [U, w], type: float64}", "{field: [U, w], type: uint16}"))
+    assert layout.read_text() != own
+    with pytest.raises(AbraceError, match=r"U of -24516\.6 N, the capacity, reaches the device as 0, expected"):
+        load(device_file(tmp_path, layout=layout), RIG)
 
 
 def test_a_layout_for_another_rig_is_refused_by_its_file(tmp_path):

@@ -25,6 +25,7 @@ from abrace_plant.devices.file import (
     DeviceFile,
     PortNumber,
     TimeOut,
+    check_outputs,
     commands_of,
     load_calibration,
 )
@@ -34,6 +35,8 @@ from abrace_plant.devices.succession import Succession, TargetClock
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from abrace_plant.devices.calibration import Calibration
     from abrace_plant.rig.model import Rig
@@ -87,7 +90,13 @@ def load(path: Path, rig: Rig) -> UdpDevice:
             f"layout file {path.parent / file.layout}: time in steps of {1e-6 * samples.resolution:g} ms, expected a "
             f"unit that distinguishes ticks of {rig.sample_rate:g} Hz"
         )
-    return UdpDevice(file, samples, commands, load_calibration(path, file, rig), rig.sample_rate)
+    calibration = load_calibration(path, file, rig)
+
+    def taken(values: Sequence[float]) -> NDArray[np.float64]:
+        return calibration.commanded(commands.decode(commands.encode(calibration.outputs(values), 1)).signals)
+
+    check_outputs(path, rig, taken)
+    return UdpDevice(file, samples, commands, calibration, rig.sample_rate)
 
 
 def packets(path: Path, file: UdpFile, rig: Rig) -> tuple[Packet, Packet]:
