@@ -187,6 +187,19 @@ def test_the_answers_to_a_sample_have_until_a_share_of_the_period_after_its_tick
     minute.end()
 
 
+def test_a_device_that_cannot_be_made_safe_is_closed_and_the_run_ends_with_that_error(rig):
+    class Broken(Scripted):
+        def make_safe(self) -> None:
+            raise OSError("no card")
+
+    device = Broken(rig, {}.get)
+    bench = Bench(rig, device)
+    bench.until(lambda: len(bench.samples) > 5)
+    bench.end()
+    assert str(bench.run.error) == "no card"
+    assert device.closed
+
+
 def test_an_error_in_the_run_makes_the_device_safe_and_is_told(rig):
     device = Scripted(rig, lambda count: ValueError("a mistake") if count == 20 else None)
     bench = Bench(rig, device)

@@ -62,18 +62,21 @@ class RealTimeRun(threading.Thread):
 
     def run(self) -> None:
         """The thread."""
+        self._note_error(self._run)
+        # at rest already, but with this message a target need not wait for its time-out
+        self._note_error(self._device.make_safe)
+        self._note_error(self._device.close)
+        self._over()
+
+    def _note_error(self, act: Callable[[], None]) -> None:
+        """Do it, and keep the first error: a device of a laboratory's own may fail at the end, too."""
         try:
-            self._prepare()
-            self._run()
+            act()
         except BaseException as error:
-            self.error = error
-        finally:
-            # at rest already, but with this message a target need not wait for its time-out
-            self._device.make_safe()
-            self._device.close()
-            self._over()
+            self.error = self.error or error
 
     def _run(self) -> None:
+        self._prepare()
         loop, period, monotonic = self._loop, self._period, time.monotonic
         tick, samples = monotonic(), 1
         while not loop.ended:

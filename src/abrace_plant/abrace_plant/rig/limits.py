@@ -129,7 +129,7 @@ def check_limits(rig: Rig, noise: Mapping[str, float]) -> None:
 
 
 def force_shares(rig: Rig) -> dict[str, float]:
-    """By load cell of a `rig`, the capacity of its actuator over the greatest one: its share of the values of FORCES."""
+    """By load cell of a `rig`, its actuator's capacity over the greatest one: its share of the values of FORCES."""
     capacities = np.repeat([group.actuator.capacity for group in rig.braces], rig.braces_in_group)
     cells = rig.channel_names[2 * rig.floors + rig.groups : -1]
     return dict(zip(cells, (capacities / capacities.max(initial=0.0)).tolist(), strict=True))
