@@ -5,6 +5,7 @@ import math
 import socket
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -371,11 +372,34 @@ def test_the_stamp_of_a_target_that_keeps_the_wall_clock_is_its_own(tmp_path):
         assert target.device.exchange([0.0], 0.0).stamp == expected
 
 
-def test_a_target_without_a_time_is_stamped_by_its_ticks(tmp_path):
-    layout = tmp_path / "timeless.yaml"
+def timeless(folder: Path) -> Path:
+    """A layout in which the target sends no time."""
+    layout = folder / "timeless.yaml"
     lines = [line for line in LAYOUT.read_text().splitlines() if "field: time" not in line]
     layout.write_text("\n".join(lines))
-    with UdpTarget(device_file(tmp_path, layout=layout)) as target:
+    return layout
+
+
+def test_a_target_without_a_time_that_ticks_faster_than_the_rig_is_an_error(tmp_path, monkeypatch):
+    """Ramps and motions of the table would be as much too fast."""
+    with UdpTarget(device_file(tmp_path, timeout=0.1, layout=timeless(tmp_path))) as target:
+        target.open()
+        now = time.monotonic_ns()
+        monkeypatch.setattr(time, "monotonic_ns", lambda: now)
+        first = target.counter
+
+        def run() -> None:
+            while target.counter < first + 200:
+                target.tick()
+                target.device.exchange([0.0], 0.0)
+
+        with pytest.raises(DeviceError, match=r"dropped: \d+ wrong time .*, 2 ms apart, were expected"):
+            run()
+        assert target.counter < first + 60, "2 ms each, until the time-out is full"
+
+
+def test_a_target_without_a_time_is_stamped_by_its_ticks(tmp_path):
+    with UdpTarget(device_file(tmp_path, layout=timeless(tmp_path))) as target:
         target.open()
         stamps = []
         for _ in range(5):
