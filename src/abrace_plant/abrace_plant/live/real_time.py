@@ -20,6 +20,40 @@ ANSWER_SHARE = 0.8
 later."""
 
 
+def command_zeros(device: Device, groups: int, samples: int, patience: float) -> None:
+    """Command zero for so many `samples`, so that a target that follows only from zero begins to.
+
+    Parameters
+    ----------
+    device
+        It is open.
+    groups
+        Number of brace groups.
+    samples
+        That have to come.
+    patience
+        Seconds for which it may fail meanwhile.
+
+    Raises
+    ------
+    Exception
+        What the device raised after that, or at once if it was no DeviceError; it is made safe and closed.
+    """
+    latest = time.monotonic() + patience
+    try:
+        while samples:
+            try:
+                device.exchange([0.0] * groups, 0.0)
+                samples -= 1
+            except DeviceError:
+                if time.monotonic() > latest:
+                    raise
+    except BaseException:
+        device.make_safe()
+        device.close()
+        raise
+
+
 class RealTimeRun(threading.Thread):
     """Runs a rig until it is told to end and all is at rest.
 

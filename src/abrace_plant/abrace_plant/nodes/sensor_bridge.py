@@ -19,6 +19,7 @@ from abrace_plant.devices.device import Device, DeviceError, Reading
 from abrace_plant.devices.file import calibration_of, commands_of, load_device
 from abrace_plant.devices.zeroing import Zeroing, check_names
 from abrace_plant.live.loop import Sample
+from abrace_plant.live.real_time import command_zeros
 from abrace_plant.nodes.rig_node import STOP_PERIOD, RigNode
 from abrace_plant.rig.model import Rig
 
@@ -70,16 +71,7 @@ class SensorBridge(RigNode):
     def open_device(self) -> None:
         """Connect, and command zero until the target follows; nothing acts yet, so that a delay does no harm."""
         self.device.open()
-        missing, latest = round(ZEROS_TIME * self.rig.sample_rate), time.monotonic() + ZEROS_PATIENCE
-        while missing:
-            try:
-                self.command_zero()
-                missing -= 1
-            except DeviceError:
-                if time.monotonic() > latest:
-                    self.device.make_safe()
-                    self.device.close()
-                    raise
+        command_zeros(self.device, self.rig.groups, round(ZEROS_TIME * self.rig.sample_rate), ZEROS_PATIENCE)
 
     def prepare(self) -> None:
         """Set up the thread, and discard the samples that have arrived since the device was opened: begin in time."""
