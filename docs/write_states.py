@@ -24,7 +24,7 @@ zero.
 |---|---|
 | unconfigured | nothing; there is no rig yet |
 | standby | nothing: configured, but not active |
-| fading in | commands, scaled by a factor that grows to one in {RAMP_TIME:g} s after a person has cleared a fault |
+| fading in | forces, times a factor that grows to one in {RAMP_TIME:g} s after a person cleared a fault; the table |
 | running | commands, within capacity, rate limit and the limits of the table |
 | ramping down | forces go to zero along a half cosine in {RAMP_TIME:g} s, the table stops within its stroke |
 | latched | nothing: there was a fault, and a person has to clear it |

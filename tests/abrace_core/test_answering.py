@@ -39,10 +39,29 @@ def test_an_old_sample_is_dropped_and_nothing_begins_anew(answering):
 
 
 def test_another_run_of_the_rig_is_answered_from_rest(answering):
-    receive(answering, 5)
+    receive(answering, 5, flags=LAST)
     answering.safety.act([[8000.0]])
     assert receive(answering, 0, run=2) == RESTART
     assert answering.safety.outputs[0].value == [0.0]
+    assert not answering.safety.cause
+
+
+def test_a_rig_that_begins_while_another_one_runs_is_commanded_nothing(answering):
+    """A bridge that is started beside the simulated rig of the rehearsal."""
+    receive(answering, 5, flags=LOCKSTEP)
+    answering.safety.act([[8000.0]])
+    assert receive(answering, 0, run=2) == RESTART
+    answering.safety.act([None])
+    assert answering.safety.outputs[0].value == [0.0]
+    assert answering.safety.cause == "a run began during another one: two rigs publish response, expected one"
+
+
+@pytest.mark.parametrize(("flags", "pause"), [(LAST, 0), (0, 60), (LOCKSTEP, 0)])
+def test_a_rig_that_begins_after_another_one_is_no_fault(answering, flags, pause):
+    """After its last sample, its end without one, or where runs in lockstep follow each other."""
+    receive(answering, 5, flags=flags)
+    assert receive(answering, 6 + pause, run=2, flags=flags & LOCKSTEP) == RESTART
+    assert not answering.safety.cause
 
 
 def test_while_the_rig_is_stopped_nothing_is_wanted_and_then_it_begins_anew(answering):

@@ -40,6 +40,9 @@ class Shaker(AbraceLifecycleNode):
         self.due = 1.0
         self.fail("activate")
 
+    def come_to_rest(self) -> None:
+        self.fail("come_to_rest")
+
     def deactivate(self) -> None:
         self.fail("deactivate")
         self.due = None
@@ -91,6 +94,14 @@ def test_a_transition_that_fails_is_answered_so_and_leaves_the_node_at_rest(shak
         assert shaker.go("configure")
         assert shaker.go("activate")
         assert len(list(shaker.publishers)) == endpoints + 1
+
+
+def test_a_signal_while_a_node_that_has_come_to_rest_is_being_deactivated_is_no_error(shaker):
+    """Its state machine is in standby already, and refuses to come to rest."""
+    assert all(map(shaker.go, ["configure", "activate"]))
+    shaker.failing = "come_to_rest"
+    assert shaker.at_rest
+    assert shaker.leave() == 0.0
 
 
 def test_an_activation_that_is_refused_leaves_the_node_inactive(shaker):

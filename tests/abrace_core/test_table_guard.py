@@ -103,3 +103,28 @@ def test_a_table_that_moves_on_is_no_table_at_rest():
     for value in [1.0] * 20 + [0.0] * 2000:
         guard.follow([value])
     assert guard.state.velocity > 0.03
+
+
+def test_a_motion_that_begins_while_forces_fade_in_ends_at_rest_as_well():
+    guard, whole = TableGuard(TABLE, PERIOD), TableGuard(TABLE, PERIOD)
+    for k in range(500):
+        value = math.sin(2 * math.pi * k / 500) - math.sin(4 * math.pi * k / 500) / 2
+        guard.follow([value], min(1.0, k / 250))
+        whole.follow([value])
+    assert guard.value == whole.value
+    assert guard.state.velocity == whole.state.velocity
+
+
+def test_a_table_that_moves_without_acceleration_moves():
+    guard = TableGuard(TABLE, PERIOD)
+    assert not guard.moving
+    for value in [1.0] * 20:
+        guard.follow([value])
+        assert guard.moving
+    for _ in range(3):
+        guard.follow([0.0])
+    assert guard.moving, "at 0.04 m/s"
+    guard.begin_to_rest()
+    while not guard.at_rest:
+        guard.come_to_rest()
+    assert not guard.moving

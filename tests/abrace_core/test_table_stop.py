@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from abrace_core.safety.table_stop import LONGEST, RAMP_TIME, Table, TableState, TableStop
+from abrace_core.safety.table_stop import LONGEST, RAMP_TIME, Table, TableState, TableStop, turning_point
 
 TABLE = Table(peak_acceleration=10.0, peak_jerk=2000.0, peak_velocity=1.0, peak_displacement=0.25)
 PERIOD = 0.002
@@ -144,3 +144,20 @@ def test_the_state_is_the_exact_integral_of_an_acceleration_that_is_linear_betwe
     assert state.velocity == pytest.approx(velocity, abs=1e-9)
     assert state.displacement == pytest.approx(0.5 + displacement, abs=1e-9)
     assert state.acceleration == accelerations[-1]
+
+
+@given(
+    table=tables, acceleration=shares, velocity=st.floats(0.01, 1.0), sign=st.sampled_from([1, -1]), displacement=shares
+)
+@example(table=TABLE, acceleration=0.0, velocity=0.9, sign=1, displacement=0.2)
+@example(table=TABLE, acceleration=-1.0, velocity=0.01, sign=-1, displacement=0.0)
+def test_the_turning_point_is_where_the_greatest_deceleration_ends_the_motion(
+    table, acceleration, velocity, sign, displacement
+):
+    now, speed, most = acceleration * table.peak_acceleration, velocity * table.peak_velocity, table.peak_acceleration
+    step = (speed / most + 2 * most / table.peak_jerk) / 2000
+    fall = np.maximum(now - table.peak_jerk * step * np.arange(2002), -most)
+    speeds = speed + np.concatenate([[0.0], np.cumsum((fall[1:] + fall[:-1]) / 2 * step)])
+    way = step * (np.sum(np.maximum(speeds, 0.0)) - speed / 2)
+    found = turning_point(sign * now, sign * speed, displacement, table)
+    assert sign * (found - displacement) == pytest.approx(way, rel=1e-2)

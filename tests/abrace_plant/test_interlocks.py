@@ -156,6 +156,43 @@ def test_a_sensor_quieter_than_its_converters_step_may_rest_on_one_reading(rig):
     assert tripped(Interlocks(replace(rig, sensors=quiet)), noise(replace(rig, sensors=quiet), 400))[0] is None
 
 
+@pytest.mark.parametrize("rate", [50.0, 200.0])
+def test_noise_of_one_step_of_the_converter_is_not_stuck_at_a_low_sample_rate(rig, rate):
+    """Of ten samples of such a sensor, those of 50 ms at 200 Hz, all are the same once in 15 000."""
+    sensors = [replace(sensor, noise=sensor.step) for sensor in rig.channel_sensors]
+    kinds = ("displacement", "stroke", "acceleration", "force", "ground_acceleration")
+    own = {kind: replace(getattr(rig.sensors, kind), noise=getattr(rig.sensors, kind).step) for kind in kinds}
+    slow = replace(rig, sample_rate=rate, sensors=replace(rig.sensors, **own))
+    readings = Measurement(sensors, 1, 1 / rate).record(np.zeros((20_000, len(sensors))))
+    assert tripped(Interlocks(slow), readings)[0] is None
+    readings[1000:, 2] = readings[999, 2]
+    found, sample = tripped(Interlocks(slow), readings)
+    assert (found.interlock, found.channel) == ("stuck", "x3")
+    assert sample < 1030
+
+
+@pytest.mark.parametrize(
+    ("channel", "force", "interlock"),
+    [
+        ("f1a", 12e3, ""),
+        ("f1a", 13e3, "force_error"),
+        ("f1a", 55e3, "force"),
+        ("f2", 24e3, ""),
+        ("f2", 26e3, "force_error"),
+    ],
+)
+def test_the_limits_of_forces_are_in_proportion_to_the_capacity_of_each_actuator(channel, force, interlock):
+    """The first group's actuators have 50 kN, the second one's 100 kN; the limits are 108 and 25 kN."""
+    rig = load_rig(SOURCE / "abrace_plant/config/five_storey.yaml")
+    readings, interlocks = noise(rig, 100), Interlocks(rig)
+    readings[:, rig.channel_names.index(channel)] += force
+    trips = [interlocks.check(reading, [0.0, 0.0], 0.0, 0.0, 0) for reading in readings]
+    assert {(trip.interlock, trip.channel) for trip in trips if trip} == (
+        {(interlock, channel)} if interlock else set()
+    )
+    assert interlocks.greatest()["force"] == pytest.approx(force, rel=0.05)
+
+
 def test_the_ends_of_the_range_are_those_where_a_measurement_clips():
     sensors = [Sensor(range=6.0, noise=0.0, bits=16), Sensor(range=28000.0, noise=0.0, bits=5)]
     measurement, over_range = Measurement(sensors, 1, 0.002), OverRange(sensors)

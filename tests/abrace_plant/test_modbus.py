@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from pymodbus.exceptions import ConnectionException
 from udp_target import CHANNELS, CONFIG, RIG
 
 from abrace_core.errors import AbraceError
@@ -113,6 +114,38 @@ def test_make_safe_brings_the_outputs_to_zero_without_a_step(t7):
     assert not running.emulator.target._acting[0]
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_after_requests_without_an_answer_the_outputs_go_to_zero_from_where_they_are(t7, monkeypatch, kept):
+    """The device has kept its outputs, or has brought them to zero itself."""
+    device, running = t7
+    for force in (0.0, 0.0, *np.linspace(0, 10e3, 50)):
+        device.exchange([force], 0.0)
+
+    def no_answer(*_arguments, **_options):
+        raise ConnectionException("no answer")
+
+    with monkeypatch.context() as cut:
+        cut.setattr(device._client, "write_registers", no_answer)
+        for force in (9900.0, 9700.0):
+            with pytest.raises(DeviceError, match=r"write registers 1000 to 1003: no answer within 500 ms"):
+                device.exchange([force], 0.0)
+    if not kept:
+        running.emulator.port._registers[1000:1002] = struct.unpack(">2H", struct.pack(">f", 2.5))
+    written, write = [2.5 + 1.0 * kept], device._write
+
+    def noted(block, values):
+        written.extend(values[:1] if block.first == 1000 else [])
+        write(block, values)
+
+    monkeypatch.setattr(device, "_write", noted)
+    device.exchange([9000.0], 0.0)
+    assert written[-1] == pytest.approx(2.5), "zero, and nothing that was asked for meanwhile"
+    assert np.abs(np.diff(written)).max() < 0.035, "half a cosine in 50 samples"
+    device.exchange([0.0], 0.0)
+    assert device.exchange([100.0], 0.0).missed == 0
+    assert written[-1] == pytest.approx(2.51)
+
+
 def test_a_device_that_stops_answering_is_an_error(t7):
     device, running = t7
     device.exchange([0.0], 0.0)
@@ -128,6 +161,16 @@ def test_a_device_that_is_not_there_is_an_error(tmp_path):
     device = load_device(device_file(tmp_path), SLOW)
     with pytest.raises(DeviceError, match=r"modbus device LabJack T7 at 127.0.0.1:\d+: no connection within 2 s"):
         device.open()
+
+
+def test_outputs_that_end_before_the_capacity_are_refused(tmp_path):
+    registers = tmp_path / "map.yaml"
+    registers.write_text(MAP.read_text().replace("U: {register: 1000}", "U: {register: 1000, type: int16}"))
+    path = device_file(tmp_path, registers=registers)
+    with pytest.raises(
+        AbraceError, match=r"U of 24516\.6 N, the capacity, reaches the device as 25000, expected a range"
+    ):
+        load_device(path, SLOW)
 
 
 def test_a_rig_that_is_too_fast_is_refused_by_the_devices_name(tmp_path):

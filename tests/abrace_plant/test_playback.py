@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from abrace_core.safety.table_stop import Table, TableStop
+from abrace_core.safety.table_stop import Table, TableStop, turning_point
 from abrace_plant.live.playback import Playback
 from abrace_plant.records.files import read_record
 from abrace_plant.records.intensity import integrate
@@ -62,10 +62,12 @@ def test_a_motion_that_the_table_has_can_be_stopped_within_the_stroke_at_any_tim
     check_motion(motion, 500.0, TABLE, "el_centro", RECORD_REMEDIES)
     velocity, displacement = integrate(motion, 0.002)
     assert np.abs(displacement).max() > 0.245, "nearly all of the stroke"
-    states = zip(motion.tolist(), velocity.tolist(), displacement.tolist(), strict=True)
-    stops = [TableStop(*state, TABLE, 0.002) for state in [*states][::23]]
+    states = [*zip(motion.tolist(), velocity.tolist(), displacement.tolist(), strict=True)]
+    stops = [TableStop(*state, TABLE, 0.002) for state in states[::23]]
     assert all(stop.within_stroke for stop in stops)
     assert max(len(stop.profile) for stop in stops) <= 350, "0.5 s, or little more"
+    peak = np.abs(displacement).max()
+    assert all(abs(turning_point(*state, TABLE)) <= peak + 1e-9 for state in states), "no interlock before its own peak"
 
 
 def test_the_next_motion_begins_where_the_table_is():

@@ -13,7 +13,7 @@ from abrace_core.wire import LAST
 from abrace_plant.devices.device import DeviceError, Reading
 from abrace_plant.devices.simulated import SimulatedRig
 from abrace_plant.live.loop import RigLoop, rig_outputs
-from abrace_plant.live.real_time import RealTimeRun
+from abrace_plant.live.real_time import RealTimeRun, command_zeros
 from abrace_plant.rig.file import load_rig
 
 PERIOD = 0.002
@@ -185,6 +185,35 @@ def test_the_answers_to_a_sample_have_until_a_share_of_the_period_after_its_tick
     minute = Bench(rig, Late(rig, 1, by_the_clock=False), period=60.0)
     minute.until(lambda: len(minute.samples) >= 100)
     minute.end()
+
+
+def test_zeros_are_commanded_to_a_device_that_follows_only_after_a_while(rig):
+    device = Scripted(rig, lambda count: DeviceError("takes no command") if count < 5 else None)
+    command_zeros(device, 1, 10, patience=20.0)
+    assert device.sent == [([0.0], 0.0)] * 14
+    assert not device.closed
+
+
+@pytest.mark.parametrize("error", [DeviceError("takes no command"), OSError("no card")])
+def test_a_device_that_fails_while_zeros_are_commanded_is_made_safe_and_closed(rig, error):
+    device = Scripted(rig, lambda count: error if count > 2 else None)
+    with pytest.raises(type(error), match=str(error)):
+        command_zeros(device, 1, 10, patience=0.0)
+    assert device.safe
+    assert device.closed
+
+
+def test_a_device_that_cannot_be_made_safe_is_closed_and_the_run_ends_with_that_error(rig):
+    class Broken(Scripted):
+        def make_safe(self) -> None:
+            raise OSError("no card")
+
+    device = Broken(rig, {}.get)
+    bench = Bench(rig, device)
+    bench.until(lambda: len(bench.samples) > 5)
+    bench.end()
+    assert str(bench.run.error) == "no card"
+    assert device.closed
 
 
 def test_an_error_in_the_run_makes_the_device_safe_and_is_told(rig):

@@ -162,6 +162,38 @@ def test_a_ground_motion_that_stays_away_brings_table_and_braces_to_rest(bench):
     assert abs(bench.samples[-1].reading[-1]) < 0.01
 
 
+def test_a_ground_motion_that_stays_away_while_the_table_moves_at_a_steady_velocity_is_a_fault(bench):
+    """The last acceleration of a sender that has ended may be exactly zero."""
+    bench.drive([None] * 270, [1.2] * 250 + [1.2 * (1 - k / 10) for k in range(1, 11)] + [0.0] * 10)
+    table = bench.safety.outputs[1]
+    assert table.value == [0.0]
+    assert table.state.velocity > 0.5
+    bench.drive([None] * round(TIMEOUT * 500 + 2))
+    assert "no ground_motion" in bench.safety.cause
+    bench.drive([None] * 1500)
+    assert abs(table.state.velocity) < 1e-9
+    assert abs(table.state.displacement) < 0.25
+
+
+def test_a_table_that_is_steered_out_of_its_stroke_is_stopped_within_it(bench):
+    """At 0.77 m/s it needs 3 cm to stop: more than there is between the interlock's limit and the end."""
+    bench.drive([None] * 1500, [1.4] * 275 + [0.0] * 1225)
+    table = bench.safety.outputs[1]
+    assert "interlocks.table_displacement" in bench.safety.cause
+    assert abs(table.state.velocity) < 1e-9
+    assert 0.24 < table.state.displacement < 0.25
+
+
+def test_a_motion_of_the_table_right_after_a_clear_is_played_whole(bench):
+    bench.safety.fault("test")
+    bench.drive([0.0] * 5, [0.0] * 5)
+    bench.safety.clear(bench.loop.moving())
+    motion = np.sin(2 * np.pi * np.arange(250) / 250) - np.sin(4 * np.pi * np.arange(250) / 250) / 2
+    bench.drive([0.0] * 260, [*motion, *[0.0] * 10])
+    assert bench.safety.state is State.RUNNING
+    assert abs(bench.safety.outputs[1].state.velocity) < 1e-9
+
+
 def test_it_is_cleared_at_rest_alone_and_then_the_force_fades_in(bench):
     bench.drive([8000.0] * 10)
     bench.safety.fault("test")

@@ -5,13 +5,26 @@ import math
 import socket
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from bridge_endurance import bridge_endurance
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from udp_target import CHANNELS, KINDS, LAYOUT, PERIOD, RIG, UdpTarget, device_file, free_ports, malformed, values_of
+from udp_target import (
+    CHANNELS,
+    CONFIG,
+    KINDS,
+    LAYOUT,
+    PERIOD,
+    RIG,
+    UdpTarget,
+    device_file,
+    free_ports,
+    malformed,
+    values_of,
+)
 
 from abrace_core.errors import AbraceError
 from abrace_plant.devices.device import DeviceError
@@ -281,6 +294,41 @@ def test_a_device_file_that_is_wrong_is_refused_by_its_key(tmp_path, old, new, m
         load(path, RIG)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "U: {gain: 2.5,",
+            "U: {gain: 2.0,",
+            "U of 24516.6 N, the capacity, reaches the device as 20000, expected a range",
+        ),
+        (
+            "w: {gain: 1.0,",
+            "w: {gain: 0.9,",
+            "w of 10 m/s\\^2, the table's peak_acceleration, reaches the device as 9,",
+        ),
+        ("U: {gain: 2.5, unit: kN,", "U: {gain: 2.5, unit: kN, offset: 2.0,", "U of 24516.6 N, .* as 20000, expected"),
+    ],
+)
+def test_outputs_that_end_before_the_limits_of_the_rig_are_refused(tmp_path, old, new, message):
+    path = device_file(tmp_path, calibrated=True)
+    own = (CONFIG / "device_parts/calibration.yaml").read_text()
+    assert old in own
+    (tmp_path / "own.yaml").write_text(own.replace(old, new))
+    path.write_text(path.read_text().partition("calibration: ")[0] + "calibration: own.yaml\n")
+    with pytest.raises(AbraceError, match=f"device file {path}: {message}"):
+        load(path, RIG)
+
+
+def test_an_output_of_a_type_without_a_sign_is_refused(tmp_path):
+    layout = tmp_path / "unsigned.yaml"
+    own = LAYOUT.read_text()
+    layout.write_text(own.replace("{field: [U, w], type: float64}", "{field: [U, w], type: uint16}"))
+    assert layout.read_text() != own
+    with pytest.raises(AbraceError, match=r"U of -24516\.6 N, the capacity, reaches the device as 0, expected"):
+        load(device_file(tmp_path, layout=layout), RIG)
+
+
 def test_a_layout_for_another_rig_is_refused_by_its_file(tmp_path):
     path = device_file(tmp_path)
     layout = tmp_path / "other.yaml"
@@ -324,11 +372,34 @@ def test_the_stamp_of_a_target_that_keeps_the_wall_clock_is_its_own(tmp_path):
         assert target.device.exchange([0.0], 0.0).stamp == expected
 
 
-def test_a_target_without_a_time_is_stamped_by_its_ticks(tmp_path):
-    layout = tmp_path / "timeless.yaml"
+def timeless(folder: Path) -> Path:
+    """A layout in which the target sends no time."""
+    layout = folder / "timeless.yaml"
     lines = [line for line in LAYOUT.read_text().splitlines() if "field: time" not in line]
     layout.write_text("\n".join(lines))
-    with UdpTarget(device_file(tmp_path, layout=layout)) as target:
+    return layout
+
+
+def test_a_target_without_a_time_that_ticks_faster_than_the_rig_is_an_error(tmp_path, monkeypatch):
+    """Ramps and motions of the table would be as much too fast."""
+    with UdpTarget(device_file(tmp_path, timeout=0.1, layout=timeless(tmp_path))) as target:
+        target.open()
+        now = time.monotonic_ns()
+        monkeypatch.setattr(time, "monotonic_ns", lambda: now)
+        first = target.counter
+
+        def run() -> None:
+            while target.counter < first + 200:
+                target.tick()
+                target.device.exchange([0.0], 0.0)
+
+        with pytest.raises(DeviceError, match=r"dropped: \d+ wrong time .*, 2 ms apart, were expected"):
+            run()
+        assert target.counter < first + 60, "2 ms each, until the time-out is full"
+
+
+def test_a_target_without_a_time_is_stamped_by_its_ticks(tmp_path):
+    with UdpTarget(device_file(tmp_path, layout=timeless(tmp_path))) as target:
         target.open()
         stamps = []
         for _ in range(5):

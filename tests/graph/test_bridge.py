@@ -143,15 +143,15 @@ def test_hardware_that_is_not_there_refuses_the_activation_and_is_taken_at_1_khz
 def test_hardware_is_zeroed_at_rest_alone_and_a_target_that_freezes_is_a_latched_fault(rig, emulate, tmp_path):
     device = device_file(tmp_path, timeout=0.02, calibrated=True)
     emulator = emulate(device)
-    # the bridge's own calibration: two sensors that are not at zero, one of them further than may be zeroed
+    # the bridge's own calibration: sensors that are not at zero, one of them further than may be zeroed
     content = yaml.safe_load((CONFIG / "device_parts/calibration.yaml").read_text())
-    for name, offset in (("a1", 0.05), ("x2", 0.6)):
+    for name, offset in (("a1", 0.05), ("x3", 0.45), ("x2", 0.6)):
         content["channels"][name]["offset"] = offset
     calibration = tmp_path / "own.yaml"
     calibration.write_text(yaml.safe_dump(content))
     text = device.read_text()
     device.write_text(text.replace(text.rpartition("calibration: ")[2], "own.yaml\n"))
-    rig.start("sensor_bridge", device=str(device), zero_channels=["a1"])
+    rig.start("sensor_bridge", device=str(device), zero_channels=["a1", "x3"])
     rig.start("excitation", autostart=False, **DRIVEN)
     rig.until(lambda: len(rig.responses) > 100, "samples")
     assert np.mean([response.acceleration[0] for response in rig.responses]) == pytest.approx(-0.03, abs=0.002)
@@ -166,15 +166,20 @@ def test_hardware_is_zeroed_at_rest_alone_and_a_target_that_freezes_is_a_latched
     found = yaml.safe_load(calibration.read_text())["channels"]
     assert found["a1"].get("offset", 0.0) == pytest.approx(0.0, abs=0.001)
     assert found["x2"]["offset"] == 0.6
-    used = len(rig.responses) + 50
     names = SetParameters.Request(parameters=[Parameter("zero_channels", value=["a1", "x2"]).to_parameter_msg()])
     assert rig.call(SetParameters, "sensor_bridge/set_parameters", names).results[0].successful
     before = calibration.read_bytes()
     refused = zero(rig)
     assert not refused.success
     assert refused.message.startswith("zeroing: x2 reads -0.00")
-    rig.until(lambda: len(rig.responses) > used + 200, "enough samples for a mean")
-    assert np.mean([response.acceleration[0] for response in rig.responses[used:]]) == pytest.approx(0.0, abs=0.002)
+    calibration.write_text(calibration.read_text().replace("gain: 0.6", "gain: 0.5"))
+    names = SetParameters.Request(parameters=[Parameter("zero_channels", value=["a1"]).to_parameter_msg()])
+    assert rig.call(SetParameters, "sensor_bridge/set_parameters", names).results[0].successful
+    refused = zero(rig)
+    assert not refused.success
+    assert "own.yaml was changed after the activation" in refused.message
+    calibration.write_bytes(before)
+    rig.until(lambda: abs(np.mean([one.acceleration[0] for one in rig.responses[-200:]])) < 0.002, "readings at zero")
     values = rig.values("sensor_bridge")
     assert values["device dropped_other_sender"] == "300"
     assert values["calibration a1"].startswith("0.6 m/s^2, offset")

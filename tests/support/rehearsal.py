@@ -136,8 +136,8 @@ def rehearse(
         reading = measurement.read(true)
         if cause.tamper and k >= start:
             cause.tamper(reading)
-        at = table.state
-        found = interlocks.check(reading, until_now, at.velocity, at.displacement, over_range.check(reading))
+        turning, clipped = table.turning_point, over_range.check(reading)
+        found = interlocks.check(reading, until_now, table.state.velocity, turning, clipped)
         greatest = max(greatest, float(np.abs(np.diff(true[: rig.floors], prepend=0.0)).max()))
         if found and not trip:
             trip, time, drift = found, k * period, greatest

@@ -65,7 +65,7 @@ class Commander(AbraceLifecycleNode):
         """Bring the commands to rest; after that no sample is answered."""
         self.safety.deactivate()
         silent = self.answering.silent(time.monotonic())
-        if silent or not any(any(output.value) for output in self.safety.outputs):
+        if silent or not any(output.moving for output in self.safety.outputs):
             self.safety.rest()
 
     @property

@@ -158,7 +158,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
     def leave(self) -> float:
         """Begin to come to rest, after a signal; returns the seconds that this may take before the process ends."""
         with self.lock:
-            if not self.active:
+            if not self.active or self.at_rest:
                 return 0.0
             self.come_to_rest()
             self._awaiting_rest = not self.at_rest

@@ -94,7 +94,6 @@ class StopListener:
                 subscription = node.create_subscription(Bool, topic, lambda _: None, qos)
                 node._subscriptions.remove(subscription)
                 self._subscriptions.append(subscription)
-        self._numbers: dict[bytes, int] = {}
         self._senders = StopSenders(heartbeat, time.monotonic())
 
     def close(self) -> None:
@@ -107,15 +106,14 @@ class StopListener:
         now = time.monotonic()
         for subscription in self._subscriptions:
             for sender, number, pressed in _taken(subscription):
-                if number > self._numbers.get(sender, 0):
-                    self._numbers[sender] = number
-                    self._senders.hear(sender, self._name(sender), pressed, now)
+                self._senders.hear(sender, self._name(sender), number, pressed, now)
         for unnamed in self._senders.unnamed:
             self._senders.rename(unnamed, self._name(unnamed))
         return self._senders.who(now)
 
     def forget_gone(self) -> None:
         """Forget the senders that have left the graph, because a person clears the stop."""
+        self.who()  # what they sent before
         present = {
             bytes(one.endpoint_gid) for topic in self._topics for one in self._node.get_publishers_info_by_topic(topic)
         }

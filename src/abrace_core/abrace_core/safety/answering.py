@@ -47,6 +47,7 @@ class Answering:
         self.held = self.cause = ""
         self._heard: float | None = None
         self._last = -math.inf
+        self._flags = LAST
 
     def configure(
         self,
@@ -69,7 +70,7 @@ class Answering:
             Whether a command is not zero; None: taken from the outputs.
         """
         self.safety.configure(outputs, sample_period)
-        self._moving = moving or (lambda: any(any(output.value) for output in outputs))
+        self._moving = moving or (lambda: any(output.moving for output in outputs))
         self.watch = SampleWatch(sample_period, longest_gap)
 
     def activate(self) -> None:
@@ -102,10 +103,14 @@ class Answering:
         int
             DROP, HOLD or RESTART; otherwise the number of samples lost just before it, and the node answers it.
         """
+        # a rig in lockstep may end without a last sample
+        goes_on = self.watch.run >= 0 and not self._flags & (LAST | head.flags & LOCKSTEP) and not self.silent(now)
         lost = self.watch.update(head.run, head.sequence, stamp)
         if lost == OLD:
             return DROP
-        self._last = now
+        if lost == NEW_RUN and goes_on:
+            self.safety.fault("a run began during another one: two rigs publish response, expected one")
+        self._last, self._flags = now, head.flags
         self._heard = None if head.flags & (LOCKSTEP | LAST) else now
         if self.watch.problem and self._moving():
             self.safety.fault(self.watch.problem)

@@ -164,9 +164,14 @@ class CommandGuard:
         self.saturated = self.rate_limited = False
 
     @property
+    def moving(self) -> bool:
+        """Whether the force is not zero."""
+        return any(self.value)
+
+    @property
     def at_rest(self) -> bool:
         """Whether the force is zero."""
-        return not any(self.value)
+        return not self.moving
 
     def come_to_rest(self, samples: int = 1) -> None:
         """Advance the ramp by this number of `samples`, within the rate limit."""

@@ -145,6 +145,10 @@ class Output(Protocol):
     """The values that act from the last sample on."""
 
     @property
+    def moving(self) -> bool:
+        """Whether the output acts on the rig, so that it needs a sender and a loop that is in time."""
+
+    @property
     def at_rest(self) -> bool:
         """Whether the output has come to rest."""
 
@@ -152,7 +156,7 @@ class Output(Protocol):
         """Why a command cannot act; None: it can."""
 
     def follow(self, command: Sequence[float] | None, share: float) -> None:
-        """Apply a `share` of the command within the limits; None: of the last command."""
+        """Apply a `share` of the command within the limits, or all of it; None: of the last command."""
 
     def hold(self, samples: int) -> None:
         """Count `samples` in which the last values went on acting, because no command could be given."""

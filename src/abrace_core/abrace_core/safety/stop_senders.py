@@ -17,6 +17,7 @@ UNNAMED = "a node of unknown name"
 @dataclass
 class _Sender:
     name: str
+    number: int
     pressed: bool
     heard: float
 
@@ -37,9 +38,14 @@ class StopSenders:
         self._senders: dict[Hashable, _Sender] = {}
         self._began = now
 
-    def hear(self, sender: Hashable, name: str, pressed: bool, now: float) -> None:
-        """Note a message of a `sender`, with its `name`, at `now` [s]: whether the stop is `pressed`."""
-        self._senders[sender] = _Sender(name, pressed, now)
+    def hear(self, sender: Hashable, name: str, number: int, pressed: bool, now: float) -> None:
+        """Note message `number` of a `sender`, with its `name`, at `now` [s]: whether the stop is `pressed`.
+
+        Messages come several times, by several subscriptions; one that is not newer than the last changes nothing.
+        """
+        known = self._senders.get(sender)
+        if known is None or number > known.number:
+            self._senders[sender] = _Sender(name, number, pressed, now)
 
     def name(self, sender: Hashable) -> str:
         """Name of a sender; empty: it has sent no message yet, or is UNNAMED."""
@@ -66,7 +72,10 @@ class StopSenders:
         return ", ".join(asking)
 
     def forget(self, gone: Iterable[Hashable], now: float) -> None:
-        """Forget the senders that are `gone` and cannot release their stop; a person clears the stop at `now` [s]."""
+        """Forget the senders that are `gone` and cannot release their stop; a person clears the stop at `now` [s].
+
+        One that comes back, after its connection was lost, is heard again with its last message.
+        """
         for sender in gone:
             self._senders.pop(sender, None)
         self._began = now

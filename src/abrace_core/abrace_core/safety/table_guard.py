@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from abrace_core.safety.table_stop import TableState, TableStop
+from abrace_core.safety.table_stop import TableState, TableStop, turning_point
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,11 +62,14 @@ class TableGuard:
             return f"ground acceleration {list(command)}, expected one finite number"
         return None
 
-    def follow(self, command: Sequence[float] | None, share: float = 1.0) -> None:
-        """Apply a `share` of a `command` (1,) [m/s^2] that has no `problem`; None: of the last command."""
+    def follow(self, command: Sequence[float] | None, share: float = 1.0) -> None:  # noqa: ARG002
+        """Apply a `command` (1,) [m/s^2] that has no `problem`; None: the last command.
+
+        A motion that was scaled for a while would not end at rest, so it is applied whole, whatever the `share`.
+        """
         if command is not None:
             self._command = [float(command[0])]
-        wanted, last = self._command[0] * share, self.value[0]
+        wanted, last = self._command[0], self.value[0]
         most, step = self._table.peak_acceleration, self._step
         value = min(max(wanted, -most), most)
         if abs(value - last) > step:
@@ -81,6 +84,16 @@ class TableGuard:
         self._command = [0.0]
         self.limited = False
         self._stop = TableStop(state.acceleration, state.velocity, state.displacement, self._table, self._period)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the table moves by more than what is due to rounding and missed samples."""
+        return self.value[0] != 0.0 or abs(self.state.velocity) > self._slow
+
+    @property
+    def turning_point(self) -> float:
+        """Displacement at which the table can come to a standstill at the earliest, as commanded [m]."""
+        return turning_point(self.state.acceleration, self.state.velocity, self.state.displacement, self._table)
 
     @property
     def at_rest(self) -> bool:

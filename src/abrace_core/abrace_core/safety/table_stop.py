@@ -106,6 +106,23 @@ class TableState:
         self.velocity += time * self.acceleration
 
 
+def turning_point(acceleration: float, velocity: float, displacement: float, limits: Table) -> float:
+    """Displacement at which a table comes to a standstill if it decelerates as fast as its `limits` allow [m].
+
+    `acceleration` [m/s^2], `velocity` [m/s] and `displacement` [m] are those at the last sample. A motion within the
+    limits of acceleration and jerk never turns before it.
+    """
+    sign = math.copysign(1.0, velocity)
+    now, left, most, jerk = sign * acceleration, abs(velocity), limits.peak_acceleration, limits.peak_jerk
+    # the deceleration at the standstill, if the greatest one is not reached before
+    peak = math.sqrt(now**2 + 2 * jerk * left)
+    ramp = (now + min(peak, most)) / jerk
+    way = ramp * (left + ramp * (now / 2 - ramp * jerk / 6))
+    if peak > most:
+        way += (left + ramp * (now - ramp * jerk / 2)) ** 2 / (2 * most)
+    return displacement + sign * way
+
+
 class TableStop:
     """The accelerations that bring a table to rest, one for each sample.
 

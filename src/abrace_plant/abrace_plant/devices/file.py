@@ -13,6 +13,7 @@ from ipaddress import IPv4Address
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
+import numpy as np
 import pydantic
 
 from abrace_core import signals
@@ -21,7 +22,9 @@ from abrace_core.errors import AbraceError
 from abrace_plant.devices.calibration import Calibration, read_calibration
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
     from abrace_plant.devices.device import Device
     from abrace_plant.rig.model import Rig
@@ -30,6 +33,9 @@ GROUP = "abrace.devices"
 """Entry points of this group are kinds of devices."""
 OWN_KINDS = {"udp": "abrace_plant.devices.udp", "modbus": "abrace_plant.devices.modbus"}
 """Modules of the kinds that abrace has; each has a function `load`."""
+
+LARGEST_ERROR = 0.01
+"""Share by which a device may be commanded less, or more, than the greatest force or acceleration of its rig."""
 
 Address = IPv4Address
 """Of a device, in digits."""
@@ -106,6 +112,34 @@ def calibration_of(path: Path | str) -> Path | None:
 def commands_of(rig: Rig) -> tuple[str, ...]:
     """Names of the `rig`'s commands: U of each brace group, then the table's acceleration w."""
     return (*signals.command_names(rig.groups), signals.GROUND)
+
+
+def check_outputs(path: Path, rig: Rig, taken: Callable[[Sequence[float]], NDArray[np.float64]]) -> None:
+    """Refuse a device whose outputs end before the limits of its rig: commands would be cut without a word.
+
+    Parameters
+    ----------
+    path
+        Of the device file.
+    rig
+        The rig that the device moves.
+    taken
+        Gives the commands (commands,) in SI units that the device takes, for those that it is sent.
+
+    Raises
+    ------
+    AbraceError
+        Naming the command, its greatest value and what the device takes it for.
+    """
+    most = np.array([*rig.capacity, rig.table.peak_acceleration])
+    for wanted in (most, -most):
+        for name, one, found in zip(commands_of(rig), wanted.tolist(), taken(wanted.tolist()).tolist(), strict=True):
+            if abs(found - one) > LARGEST_ERROR * abs(one):
+                limit = "the table's peak_acceleration" if name == signals.GROUND else "the capacity"
+                raise AbraceError(
+                    f"device file {path}: {name} of {one:g} {signals.unit(name)}, {limit}, reaches the device as "
+                    f"{found:g}, expected a range in the calibration file and a type that hold it"
+                )
 
 
 def load_calibration(path: Path, file: DeviceFile, rig: Rig) -> Calibration:

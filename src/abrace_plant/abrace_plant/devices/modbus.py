@@ -2,11 +2,14 @@
 """A device behind Modbus-TCP, such as LabJack's T7: commands are written and readings read at a tick of our own clock.
 
 A device that only answers has no tick of its own, and keeps its outputs when nothing is written any more. So
-`make_safe` brings them to zero itself; in case this computer fails, the device has to watch the life counter.
+`make_safe` brings them to zero itself; in case this computer fails, the device has to watch the life counter. When it
+is opened, and after a request without an answer, its outputs are read, because it may have kept or changed them, and
+are brought to zero from there.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import time
@@ -25,6 +28,7 @@ from abrace_plant.devices.file import (
     DeviceFile,
     PortNumber,
     TimeOut,
+    check_outputs,
     commands_of,
     load_calibration,
 )
@@ -40,7 +44,7 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
 
 RAMP_TIME = 0.5
-"""Seconds in which `make_safe` brings the outputs to zero."""
+"""Seconds in which the outputs are brought to zero."""
 OPEN_TIME = 2.0
 """Seconds that `open` waits for a connection."""
 
@@ -69,7 +73,16 @@ def load(path: Path, rig: Rig) -> ModbusDevice:
     """
     file = read_config(path, ModbusFile, "device")
     registers, inputs, outputs = register_blocks(path, file, rig)
-    return ModbusDevice(file, registers, inputs, outputs, load_calibration(path, file, rig), rig.sample_rate)
+    calibration = load_calibration(path, file, rig)
+
+    def taken(values: Sequence[float]) -> NDArray[np.float64]:
+        raw = np.array(calibration.outputs(values))
+        for block in outputs:
+            raw[block.positions] = block.decode(block.encode(raw[block.positions].tolist()))
+        return calibration.commanded(raw.tolist())
+
+    check_outputs(path, rig, taken)
+    return ModbusDevice(file, registers, inputs, outputs, calibration, rig.sample_rate)
 
 
 def register_blocks(path: Path, file: ModbusFile, rig: Rig) -> tuple[RegisterMap, list[Block], list[Block]]:
@@ -137,9 +150,10 @@ class ModbusDevice:
         self._tick = 0.0
         self._counter = 0
         self._last = [0.0] * calibration.commands
+        self._outputs_known = False
 
     def open(self) -> None:
-        """Connect, write the settings, command zero, read once.
+        """Connect, write the settings, bring the outputs to zero, read once.
 
         Raises
         ------
@@ -160,7 +174,7 @@ class ModbusDevice:
             for setting in self._map.set_up:
                 block = Block([(0, setting)], self._map.word_order)
                 self._write(block, [setting.value])
-            self._command(self._last)
+            self._bring_to_rest()
             self._read()
         except DeviceError:
             self.close()
@@ -169,14 +183,18 @@ class ModbusDevice:
     def exchange(self, command: Sequence[float], table: float) -> Reading:
         """Write `command` (groups,) [N] and the `table`'s acceleration [m/s^2]; at the next tick read the channels.
 
-        `missed` counts the ticks that had passed when this was called.
+        `missed` counts the ticks that had passed before. After an error the outputs are first brought to zero, and zero
+        is written instead.
 
         Raises
         ------
         DeviceError
             If the device does not answer within the time-out, or refuses.
         """
-        self._command([*command, table])
+        if self._outputs_known:
+            self._command([*command, table])
+        else:
+            self._bring_to_rest()
         now = time.monotonic()
         missed = int((now - self._tick) / self._period) if self._tick else 0
         self._tick = self._tick + (missed + 1) * self._period if self._tick else now
@@ -189,24 +207,34 @@ class ModbusDevice:
 
     def make_safe(self) -> None:
         """Bring the outputs to zero within `RAMP_TIME`, unless the device does not take them."""
-        steps = max(1, round(RAMP_TIME / self._period))
-        start, due = self._last, time.monotonic()
-        for step in range(1, steps + 1):
-            share = (1 + math.cos(math.pi * step / steps)) / 2 if any(start) else 0.0
-            try:
-                self._command([share * value for value in start])
-            except AbraceError:
-                return
-            if not any(start):
-                return
-            due += self._period
-            time.sleep(max(0.0, due - time.monotonic()))
+        with contextlib.suppress(AbraceError):
+            self._ramp_to_zero()
 
     def close(self) -> None:
         """Disconnect."""
         if self._client is not None:
             self._client.close()
             self._client = None
+
+    def _bring_to_rest(self) -> None:
+        """Bring the outputs to zero from where the device has them now, or from the last ones if it does not say."""
+        raw = np.array(self.calibration.outputs(self._last))
+        with contextlib.suppress(DeviceError):
+            for block in self._outputs:
+                raw[block.positions] = block.decode(self._asked("read", block, count=block.words).registers)
+        if np.isfinite(raw).all():
+            self._last = self.calibration.commanded(raw.tolist()).tolist()
+        self._ramp_to_zero()
+        self._outputs_known = True
+
+    def _ramp_to_zero(self) -> None:
+        steps = max(1, round(RAMP_TIME / self._period)) if any(self._last) else 1
+        start, due = self._last, time.monotonic()
+        for step in range(1, steps + 1):
+            share = (1 + math.cos(math.pi * step / steps)) / 2
+            self._command([share * value for value in start])
+            due += self._period
+            time.sleep(max(0.0, due - time.monotonic()) if step < steps else 0.0)
 
     def _command(self, values: Sequence[float]) -> None:
         """Write commands in SI units, and the life counter."""
@@ -243,6 +271,7 @@ class ModbusDevice:
             request = self._client.read_holding_registers if what == "read" else self._client.write_registers
             answer = request(block.first, device_id=self._file.unit, **content)
         except (ModbusException, OSError) as error:
+            self._outputs_known = False
             reason = " ".join(str(error).split()).removeprefix("Modbus Error: ")
             raise DeviceError(
                 f"{self._name}: {where}: no answer within {1e3 * self._file.timeout:g} ms ({reason})"

@@ -25,15 +25,18 @@ from abrace_plant.devices.file import (
     DeviceFile,
     PortNumber,
     TimeOut,
+    check_outputs,
     commands_of,
     load_calibration,
 )
 from abrace_plant.devices.layout import Content, Malformed, Packet, read_layout
-from abrace_plant.devices.succession import Succession, TargetClock
+from abrace_plant.devices.succession import RATE_ERROR, Succession, TargetClock
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from abrace_plant.devices.calibration import Calibration
     from abrace_plant.rig.model import Rig
@@ -87,7 +90,13 @@ def load(path: Path, rig: Rig) -> UdpDevice:
             f"layout file {path.parent / file.layout}: time in steps of {1e-6 * samples.resolution:g} ms, expected a "
             f"unit that distinguishes ticks of {rig.sample_rate:g} Hz"
         )
-    return UdpDevice(file, samples, commands, load_calibration(path, file, rig), rig.sample_rate)
+    calibration = load_calibration(path, file, rig)
+
+    def taken(values: Sequence[float]) -> NDArray[np.float64]:
+        return calibration.commanded(commands.decode(commands.encode(calibration.outputs(values), 1)).signals)
+
+    check_outputs(path, rig, taken)
+    return UdpDevice(file, samples, commands, calibration, rig.sample_rate)
 
 
 def packets(path: Path, file: UdpFile, rig: Rig) -> tuple[Packet, Packet]:
@@ -249,6 +258,7 @@ class UdpDevice:
         self._exchanged = self._heard = 0.0
         self._used = time.monotonic_ns()
         self._answered: int | None = None
+        self._tick_0: int | None = None
         self._waiting: deque[tuple[Content, int, int, float]] = deque()
         self._stamp = self._newest = self._since = self._ticks = 0
         self._age = 0.0
@@ -316,7 +326,7 @@ class UdpDevice:
         if self._samples.wall_clock and content.time is not None:
             age = float(wall - content.time)
         else:
-            own = content.time if content.time is not None else round(self._order.ticks * self._period)
+            own = content.time if content.time is not None else self._by_ticks(now)
             age = self._clock.age(own, now)
         if abs(age) > 1e9 * self.file.timeout:
             raise Malformed("stale")
@@ -330,6 +340,15 @@ class UdpDevice:
             behind = (self._counter - content.answered) % self._echo
             if behind <= self._allowed:
                 self._answered, self._heard = content.answered, time.monotonic()
+
+    def _by_ticks(self, now: int) -> int:
+        """Time of a target that sends none, by its ticks, at `now`, both [ns]; they may not run ahead of our clock."""
+        own = round(self._order.ticks * self._period)
+        if self._tick_0 is None:
+            self._tick_0 = now - own
+        if own - (now - self._tick_0) > 1e9 * self.file.timeout + RATE_ERROR * own:
+            raise Malformed("wrong_time")
+        return own
 
     def _found_instead(self, dropped: Counter[str]) -> str:
         """A text that lists what was received and not used."""

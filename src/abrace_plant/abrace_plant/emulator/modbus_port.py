@@ -53,6 +53,9 @@ class ModbusPort:
         self.dropped: Counter[str] = Counter()
         self._inputs, self._outputs, self._calibration, self._target = inputs, outputs, calibration, target
         self._registers = [0] * 65536
+        zero = calibration.outputs([0.0] * calibration.commands)
+        for block in outputs:
+            self._registers[block.first : block.first + block.words] = block.encode([zero[i] for i in block.positions])
         self._written: list[tuple[int, list[int]]] = []
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="modbus", daemon=True)

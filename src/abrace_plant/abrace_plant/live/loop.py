@@ -2,8 +2,8 @@
 """The loop of a rig, sample by sample and without ROS: checks inputs, exchanges samples with the device, finds faults.
 
 Sample k uses the answers to sample k-1: the command acts from t_k on, and the ground has the commanded acceleration at
-t_k. These are faults, after which table and braces come to rest together: a command that is missing while the force is
-not zero, two commands for one sample, a value that is not finite, a sender's own fault, samples that are late or
+t_k. These are faults, after which table and braces come to rest together: an input that is missing while its force or
+table acts, two commands for one sample, a value that is not finite, a sender's own fault, samples that are late or
 missed, a device that fails, and a tripped interlock.
 """
 
@@ -126,7 +126,8 @@ class RigLoop:
     safety
         Of the rig, with its outputs.
     command_timeout
-        Seconds without a command or ground acceleration, while it is not zero, that are no fault yet.
+        Seconds without a command while the force is not zero, or without a ground acceleration while the table moves,
+        that are no fault yet.
     late_limit
         Samples in a row that may be late or missed while something acts.
     run
@@ -226,7 +227,7 @@ class RigLoop:
         self._until_now = self._braces.value
         if self._safety.acting:
             for given, output in zip(self._inputs.values(), self._safety.outputs, strict=True):
-                if any(output.value) and given.silent(self.sequence):
+                if output.moving and given.silent(self.sequence):
                     self._safety.fault(f"no {given.name} for {self.sequence - given.answered} samples")
         self._safety.act([given.take() for given in self._inputs.values()], samples)
         return self._braces.value, self._table.value[0]
@@ -245,17 +246,18 @@ class RigLoop:
             for i, name in enumerate(self._names):
                 self.clipped[name] += clipped >> i & 1
         self._look_at(reading, clipped)
-        if any(any(output.value) for output in self._safety.outputs):
+        if any(output.moving for output in self._safety.outputs):
             self._look_for_delays(missed)
         return self._sample(reading, clipped)
 
     def _look_at(self, reading: Reading, clipped: int) -> None:
         """Check the interlocks; a trip stops the rig, and can occur again after a person has cleared it."""
-        safety, table = self._safety, self._table.state
+        safety, table = self._safety, self._table
         if safety.acting and not self._watched:
             self.interlocks.reset()
         self._watched = safety.acting
-        trip = self.interlocks.check(reading.values, self._until_now, table.velocity, table.displacement, clipped)
+        velocity = table.state.velocity
+        trip = self.interlocks.check(reading.values, self._until_now, velocity, table.turning_point, clipped)
         if trip is not None and safety.acting:
             safety.fault(str(trip))
 

@@ -20,6 +20,40 @@ ANSWER_SHARE = 0.8
 later."""
 
 
+def command_zeros(device: Device, groups: int, samples: int, patience: float) -> None:
+    """Command zero for so many `samples`, so that a target that follows only from zero begins to.
+
+    Parameters
+    ----------
+    device
+        It is open.
+    groups
+        Number of brace groups.
+    samples
+        That have to come.
+    patience
+        Seconds for which it may fail meanwhile.
+
+    Raises
+    ------
+    Exception
+        What the device raised after that, or at once if it was no DeviceError; it is made safe and closed.
+    """
+    latest = time.monotonic() + patience
+    try:
+        while samples:
+            try:
+                device.exchange([0.0] * groups, 0.0)
+                samples -= 1
+            except DeviceError:
+                if time.monotonic() > latest:
+                    raise
+    except BaseException:
+        device.make_safe()
+        device.close()
+        raise
+
+
 class RealTimeRun(threading.Thread):
     """Runs a rig until it is told to end and all is at rest.
 
@@ -62,18 +96,21 @@ class RealTimeRun(threading.Thread):
 
     def run(self) -> None:
         """The thread."""
+        self._note_error(self._run)
+        # at rest already, but with this message a target need not wait for its time-out
+        self._note_error(self._device.make_safe)
+        self._note_error(self._device.close)
+        self._over()
+
+    def _note_error(self, act: Callable[[], None]) -> None:
+        """Do it, and keep the first error: a device of a laboratory's own may fail at the end, too."""
         try:
-            self._prepare()
-            self._run()
+            act()
         except BaseException as error:
-            self.error = error
-        finally:
-            # at rest already, but with this message a target need not wait for its time-out
-            self._device.make_safe()
-            self._device.close()
-            self._over()
+            self.error = self.error or error
 
     def _run(self) -> None:
+        self._prepare()
         loop, period, monotonic = self._loop, self._period, time.monotonic
         tick, samples = monotonic(), 1
         while not loop.ended:

@@ -52,7 +52,9 @@ PEAKS = ("drift", "displacement", "acceleration", "force", "table_displacement")
 RIG_PARAMETERS = [
     Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
     Parameter("duration", 0.0, "seconds to run, then end; 0: until stopped", minimum=0.0),
-    Parameter("command_timeout", 0.02, "seconds without an input that is not zero; longer is a fault", minimum=0.002),
+    Parameter(
+        "command_timeout", 0.02, "seconds without an input while force or table act; longer is a fault", minimum=0.002
+    ),
     Parameter("late_limit", 10, "samples in a row that may be late or missed; more are a fault", minimum=1),
     Parameter("stop_heartbeat", 0.0, "seconds within which every stop button must repeat; 0: off", minimum=0.0),
 ]
@@ -283,9 +285,9 @@ class RigNode(AbraceLifecycleNode):
         if self.loop is not None:
             values |= {"sequence": self.loop.sequence, **self.loop.counters()}
             values |= {f"clipped {name}": count for name, count in self.loop.clipped.items() if count}
-            utilisation, table = self.loop.interlocks.utilisation(), self.loop.interlocks.table
+            utilisation, greatest = self.loop.interlocks.utilisation(), self.loop.interlocks.greatest()
             values |= {f"interlock {name}": f"{100 * share:.0f} % of its limit" for name, share in utilisation.items()}
-            values |= {f"peak {name}": f"{utilisation[name] * table[name].value:.4g}" for name in PEAKS}
+            values |= {f"peak {name}": f"{greatest[name]:.4g}" for name in PEAKS}
             if warnings := self.loop.interlocks.warnings:
                 values["warning"] = "; ".join(map(str, warnings))
         return fault, self.safety.state.words if self.active else "not active", values

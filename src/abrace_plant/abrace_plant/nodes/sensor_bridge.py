@@ -14,11 +14,12 @@ from std_srvs.srv import Trigger
 
 from abrace_core.errors import AbraceError
 from abrace_core.node import Parameter, find_file, run
-from abrace_plant.devices.calibration import Calibration, write_calibration
+from abrace_plant.devices.calibration import Calibration, read_calibration, write_calibration
 from abrace_plant.devices.device import Device, DeviceError, Reading
 from abrace_plant.devices.file import calibration_of, commands_of, load_device
 from abrace_plant.devices.zeroing import Zeroing, check_names
 from abrace_plant.live.loop import Sample
+from abrace_plant.live.real_time import command_zeros
 from abrace_plant.nodes.rig_node import STOP_PERIOD, RigNode
 from abrace_plant.rig.model import Rig
 
@@ -45,6 +46,7 @@ class SensorBridge(RigNode):
     """Samples the hardware at its own ticks."""
 
     zeroing: Zeroing | None = None
+    next_calibration: Calibration | None = None
     zeroed = "not since the start"
 
     def __init__(self) -> None:
@@ -63,21 +65,13 @@ class SensorBridge(RigNode):
 
     def make_device(self) -> Device:
         """The device, from the present content of its files."""
+        self.next_calibration = None
         return load_device(self.path, self.rig)
 
     def open_device(self) -> None:
         """Connect, and command zero until the target follows; nothing acts yet, so that a delay does no harm."""
         self.device.open()
-        missing, latest = round(ZEROS_TIME * self.rig.sample_rate), time.monotonic() + ZEROS_PATIENCE
-        while missing:
-            try:
-                self.command_zero()
-                missing -= 1
-            except DeviceError:
-                if time.monotonic() > latest:
-                    self.device.make_safe()
-                    self.device.close()
-                    raise
+        command_zeros(self.device, self.rig.groups, round(ZEROS_TIME * self.rig.sample_rate), ZEROS_PATIENCE)
 
     def prepare(self) -> None:
         """Set up the thread, and discard the samples that have arrived since the device was opened: begin in time."""
@@ -92,8 +86,14 @@ class SensorBridge(RigNode):
         return self.device.exchange([0.0] * self.rig.groups, 0.0)
 
     def publish_sample(self, sample: Sample) -> None:
-        """Publish a sample, and keep it where sensors are being zeroed."""
+        """Publish a sample, and keep it where sensors are being zeroed; after that their calibration is changed."""
         super().publish_sample(sample)
+        if self.next_calibration is not None:
+            # here the device waits for no sample; readings jump by what was zeroed, which is no motion
+            assert self.loop is not None
+            self.device.calibration = self.next_calibration  # type: ignore[attr-defined]
+            self.next_calibration = None
+            self.loop.interlocks.reset()
         if self.zeroing is not None:
             acting = [value for output in self.safety.outputs for value in output.value]
             self.zeroing.take(sample.reading, acting)
@@ -115,8 +115,8 @@ class SensorBridge(RigNode):
                 raise AbraceError("zeroing: the node is not active")
             if moving := self.loop.moving():
                 raise AbraceError(f"zeroing: {moving}")
-            device, path, rig = self.device, self.calibration_file, self.rig
-            calibration = getattr(device, "calibration", None)
+            path, rig = self.calibration_file, self.rig
+            calibration = getattr(self.device, "calibration", None)
             if path is None or not isinstance(calibration, Calibration):
                 raise AbraceError(f"zeroing: device file {self.path} names no calibration")
             samples = round(ZEROING_TIME * rig.sample_rate)
@@ -127,10 +127,12 @@ class SensorBridge(RigNode):
         with self.lock:
             self.zeroing = None
         new, changes = zeroing.result()
+        used = Calibration(new, rig.channel_names, commands_of(rig), rig.sample_rate)
+        if read_calibration(path) != calibration.file:
+            raise AbraceError(f"zeroing: {path} was changed after the activation: deactivate, activate, zero again")
         write_calibration(path, new)
-        new_calibration = Calibration(new, rig.channel_names, commands_of(rig), rig.sample_rate)
         with self.lock:
-            device.calibration = new_calibration  # type: ignore[attr-defined]
+            self.next_calibration = used
         self.zeroed = time.strftime("%Y-%m-%d %H:%M:%S")
         return f"{path}: {changes}"
 

@@ -166,7 +166,7 @@ def detectors(rig: Rig) -> Detectors:
     for name, measured, _ in cells:
         text = f"oscillation of force {name}, rms above {FASTER * modes[-1] / (2 * np.pi):.3g} Hz"
         system.filter(Quantity("oscillation", name, text), faster, measured)
-    system.watch(Quantity("table_displacement", "table", "displacement of the table"), unit[-2])
+    system.watch(Quantity("table_displacement", "table", "displacement of the table when it is stopped"), unit[-2])
     system.watch(Quantity("table_velocity", "table", "velocity of the table"), unit[-1])
 
     slow, fast = (factor * modes[0] for factor in BAND)

@@ -4,8 +4,8 @@
 Each interlock of `limits.limit_table` watches every channel of its kind. It acts when its value has been exceeded for
 its time without a break; a reading that is not a number trips at once. Some watch quantities of `detectors`, three the
 readings themselves: `stuck` (the same to the last bit), `dead` (less than its own noise) and `clipped` (at the end of
-the sensor's range). A sensor whose noise is less than a step of its converter may repeat one reading: such channels are
-not watched for `stuck` and `dead`.
+the sensor's range). `stuck` and `dead` take longer than their time where the sensor's own noise may repeat a reading so
+often: at low sample rates. A sensor whose noise is less than a step of its converter is not watched for them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from abrace_core import signals
 from abrace_core.compiled import compiled
 from abrace_plant.rig.detectors import OSCILLATION_TIME, Quantity, detectors, sensor_noise
-from abrace_plant.rig.limits import UNITS, limit_table
+from abrace_plant.rig.limits import FORCES, NOISE_MARGIN, UNITS, force_shares, limit_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,11 +26,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_plant.rig.model import Rig
+    from abrace_plant.rig.sensors import Sensor
 
 NUMBER = "number"
 """What `Trip` names as the interlock where a reading or the command is not a number."""
 NEVER = 2**62
 """Samples after which a channel that is not watched would trip."""
+RARELY = 1e-12
+"""Greatest probability that a sensor's noise alone repeats a reading so often that it counts as stuck or dead."""
 
 
 class Trip(NamedTuple):
@@ -101,7 +104,8 @@ class Interlocks:
 
     def __init__(self, rig: Rig) -> None:
         found = detectors(rig)
-        self.table = limit_table(rig, found.noise(sensor_noise(rig)))
+        noise = found.noise(sensor_noise(rig))
+        self.table = limit_table(rig, noise)
         sensors, names = rig.channel_sensors, rig.channel_names
         self._channels = count = len(sensors)
         self._names = (*names, *signals.command_names(rig.groups), "displacement of the table", "velocity of the table")
@@ -114,10 +118,19 @@ class Interlocks:
         self._period = 1 / rig.sample_rate
         needed = [max(1, math.ceil(kind.time * rig.sample_rate - 1e-9)) for kind in kinds]
         linear = len(found.quantities)
-        quiet = np.array([sensor.noise < sensor.step for sensor in sensors])
+        share = self.table["dead"].value
+        repeats = [_repeats(sensor, share) for sensor in sensors] + [_repeats(sensor, 0.0) for sensor in sensors]
         self._needed = np.array(needed)
-        self._needed[linear : linear + 2 * count][np.tile(quiet, 2)] = NEVER
-        self._limits = np.array([kind.value for kind in kinds[:linear]])
+        self._needed[linear : linear + 2 * count] = np.maximum(needed[linear : linear + 2 * count], repeats)
+        shares = force_shares(rig)
+        self._limits = np.array(
+            [
+                max(kind.value * shares[each.channel], NOISE_MARGIN * noise[each.interlock])
+                if each.interlock in FORCES
+                else kind.value
+                for each, kind in zip(found.quantities, kinds, strict=False)
+            ]
+        )
         settles = np.array([one.interlock == "implausible_acceleration" for one in found.quantities])
         self._settling = found.settling
         states = len(found.at_rest)
@@ -130,7 +143,7 @@ class Interlocks:
         oscillates = np.array([one.interlock == "oscillation" for one in found.quantities])
         self._power = np.zeros(linear)
         self._clipped: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
-        band = self.table["dead"].value * np.array([sensor.noise for sensor in sensors])
+        band = share * np.array([sensor.noise for sensor in sensors])
         self._references = np.zeros((2, count))
         self._exceeded = np.zeros(len(self._quantities), dtype=np.int64)
         self._longest = self._exceeded.copy()
@@ -182,7 +195,8 @@ class Interlocks:
         command
             (groups,) [N], in force until this sample, for one brace of each group.
         table_velocity, table_displacement
-            Of the commanded motion [m/s], [m].
+            Of the commanded motion: its velocity [m/s]; and the displacement at which the table can come to a
+            standstill at the earliest [m], as from `TableGuard.turning_point`.
         clipped
             Bit i: channel i is at the end of its range, as from `OverRange`.
 
@@ -221,6 +235,13 @@ class Interlocks:
             found[quantity.interlock] = max(found[quantity.interlock], share)
         return found
 
+    def greatest(self) -> dict[str, float]:
+        """By interlock, the greatest value so far, 0 for those on the readings themselves; it is kept over `reset`."""
+        found = dict.fromkeys(self.table, 0.0)
+        for quantity, value in zip(self._quantities, self._greatest.tolist(), strict=False):
+            found[quantity.interlock] = max(found[quantity.interlock], value)
+        return found
+
     def _begin(self) -> None:
         """The first sample: filters start in steady state."""
         self._vector[: len(self._at_rest)] = self._at_rest @ self._inputs
@@ -238,14 +259,23 @@ class Interlocks:
             quantity, samples = self._quantities[i], int(self._exceeded[i])
             if samples == self._needed[i]:
                 self.trips[quantity.interlock] += 1
-            value = self._sizes[i] if i < len(self._sizes) else self._reading[(i - len(self._sizes)) % self._channels]
-            limit = self.table[quantity.interlock].value
-            trip = Trip(*quantity, float(value), limit, samples * self._period)
+            linear = len(self._sizes)
+            value = self._sizes[i] if i < linear else self._reading[(i - linear) % self._channels]
+            limit = self._limits[i] if i < linear else self.table[quantity.interlock].value
+            trip = Trip(*quantity, float(value), float(limit), samples * self._period)
             if not self._stops[i]:
                 self.warnings.append(trip)
             elif stop is None:
                 stop = trip
         return stop
+
+
+def _repeats(sensor: Sensor, share: float) -> int:
+    """Samples in a row within a `share` of its noise from one of them that a `sensor` has RARELY; NEVER: it may."""
+    if sensor.noise < sensor.step:
+        return NEVER
+    chance = math.erf((share + sensor.step / 2 / sensor.noise) / math.sqrt(2))
+    return math.ceil(math.log(RARELY) / math.log(chance))
 
 
 @compiled

@@ -62,6 +62,8 @@ UNITS = {
 
 YIELD_DRIFT = 0.0125
 """Drift over storey height up to which a steel moment frame is taken for elastic: it yields at 0.01 to 0.02."""
+FORCES = ("force", "force_error", "oscillation")
+"""Interlocks whose values hold for the strongest actuator; see `force_shares`."""
 NOISE_MARGIN = 6.0
 """A value is at least so many standard deviations of its sensors' noise."""
 
@@ -124,6 +126,13 @@ def check_limits(rig: Rig, noise: Mapping[str, float]) -> None:
                 f"{key} {unit}, expected {least:.3g} {unit} or more, {NOISE_MARGIN:g} times its standard "
                 "deviation from the sensors' noise"
             )
+
+
+def force_shares(rig: Rig) -> dict[str, float]:
+    """By load cell of a `rig`, its actuator's capacity over the greatest one: its share of the values of FORCES."""
+    capacities = np.repeat([group.actuator.capacity for group in rig.braces], rig.braces_in_group)
+    cells = rig.channel_names[2 * rig.floors + rig.groups : -1]
+    return dict(zip(cells, (capacities / capacities.max(initial=0.0)).tolist(), strict=True))
 
 
 def frequencies(rig: Rig) -> NDArray[np.float64]:
