@@ -149,8 +149,25 @@ def test_what_cannot_be_used_is_refused(structure, change, message):
         ambient_modes("wind", [record], structure.channels, RATE, change.get("band", BAND))
 
 
+@pytest.mark.parametrize("times", [0.2, 10.0])
+def test_without_a_band_a_tall_building_and_a_stiff_one_have_all_their_modes(structure, times):
+    """The frame with its first mode at 0.21 and at 10.6 Hz."""
+    record = structure.record(400.0, 1)
+    record += 1e-4 * np.cumsum(np.random.default_rng(2).standard_normal(record.shape), axis=0)  # drift
+    found = ambient_modes("wind", [record], structure.channels, times * RATE)
+    assert found.band == pytest.approx((times * 0.32, times * 21.2), rel=0.05)
+    frequencies = [times * frequency for frequency, _ in structure.poles]
+    assert [mode.frequency for mode in found.modes] == pytest.approx(frequencies, rel=0.01)
+
+
+def test_without_a_band_and_without_a_resonance_a_band_is_asked_for():
+    record = np.random.default_rng(1).standard_normal((20_000, 3))
+    with pytest.raises(AbraceError, match="wind: no resonance stands out of the spectrum by 10 dB: give the band"):
+        ambient_modes("wind", [record], ("a1", "a2", "a3"), RATE)
+
+
 def test_a_test_of_a_rig_is_used_by_its_accelerations_and_refused_with_a_command(rig, table_test, command_test):
-    found, warnings = ambient_test([table_test], (), (0.5, 12.0), 40)
+    found, warnings = ambient_test([table_test], (), None, 40)
     assert found.channels == ("a1", "a2", "a3")
     assert not warnings
     for frequency, _ in [pair for pair in map(tuple, _pairs(rig)) if pair[0] < 60][:3]:

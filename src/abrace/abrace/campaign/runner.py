@@ -284,7 +284,9 @@ class Runner:
                     parameters["controller"] = str(self.controller_file(controller))
                 self.run_offline(name, "abrace_sysid", "validate", parameters)
             case Ambient(test=quiet, before=before, band=band):
-                given: dict[str, Any] = {"bag": self.bags_of(quiet), "band": list(band)}
+                given: dict[str, Any] = {"bag": self.bags_of(quiet)}
+                if band is not None:
+                    given["band"] = list(band)
                 if before is not None:
                     given["before"] = self.bags_of(before)
                 self.run_offline(name, "abrace_sysid", "ambient", {**given, "output": str(output)})

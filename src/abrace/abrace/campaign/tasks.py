@@ -174,11 +174,14 @@ class Design(Checked):
 
 
 class Ambient(Checked):
-    """Modes from tests without commands, and whether the building has changed since the tests `before`; band [Hz]."""
+    """Modes from tests without commands, and whether the building has changed since the tests `before`.
+
+    band: [Hz]; without it as the tests show it.
+    """
 
     test: Tests
     before: Tests | None = None
-    band: PositiveBand = (0.3, 20.0)
+    band: PositiveBand | None = None
 
 
 class Compare(Checked):

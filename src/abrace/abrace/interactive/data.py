@@ -151,7 +151,7 @@ def identify_ambient(
     tests: AnyRun | Sequence[AnyRun],
     channels: Sequence[str] = (),
     *,
-    band: tuple[float, float] = (0.3, 20.0),
+    band: tuple[float, float] | None = None,
     highest_order: int = 40,
 ) -> IdentifiedModes:
     """Find a building's modes from tests without commands, whatever moves the table.
@@ -163,14 +163,14 @@ def identify_ambient(
     channels
         Outputs to use; none: all accelerations.
     band
-        [Hz] of the modes.
+        [Hz] of the modes; None: from 0.3 to 20 times the slowest resonance.
     highest_order
         Poles that are tried at most.
 
     Raises
     ------
     AbraceError
-        If there is a command, or the tests are too short.
+        If there is a command, the tests are too short, or no band is given and no resonance found.
     """
     found, warnings = ambient_test(runs_of(tests), tuple(channels), band, highest_order)
     warn(warnings)

@@ -31,7 +31,10 @@ DESCENT_STEPS = 60
 """Of the gradient descent over D."""
 
 LIKELY = 8
-"""Number of frequencies, those with the greatest first bounds, that are refined before all others."""
+"""Number of frequencies, those with the greatest first bounds, that are refined first; then twice as many, ..."""
+
+SPACING = 16
+"""For the first bounds D is computed at every 16th frequency: any D gives a bound."""
 
 BALANCING_SWEEPS = 20
 """Sweeps that bring rows and columns to one size."""
@@ -100,17 +103,17 @@ def disk_margin(model: LinearModel, controller: LinearModel, below: float = np.i
     open_loop = np.zeros((len(omega), size, size), dtype=np.complex128)
     open_loop[:, :commands, commands:], open_loop[:, commands:, :commands] = law, plant
     matrix = np.asarray(np.linalg.inv(np.eye(size) - open_loop) - np.eye(size) / 2, dtype=np.complex128)
-    # a frequency whose bound falls below another one's least bound is not the peak: the likely peaks are refined first
-    scaling = perron_scaling(matrix)
-    bound = descended(matrix, scaling, 0)
-    likely = np.argsort(bound)[-LIKELY:]
-    enough = max(float(descended(matrix[likely], scaling[likely], DESCENT_STEPS, 1 / below).max()), 1 / below)
-    left = np.flatnonzero(bound >= enough)
-    if not len(left):
-        return DiskMargin(below, float(omega[likely[-1]]))
-    bound[left] = descended(matrix[left], scaling[left], DESCENT_STEPS, enough)
-    worst = int(left[np.argmax(bound[left])])
-    return DiskMargin(float(1 / bound[worst]), float(omega[worst]))
+    bound = norm_bound(matrix, perron_scaling(matrix[::SPACING])[np.arange(len(omega)) // SPACING])
+    order = np.argsort(-bound)
+    peak, worst, first, batch = 1 / below, order[0], 0, LIKELY
+    # the frequencies with the greatest bounds are refined first, until those that are left are below the peak found
+    while first < len(order) and bound[order[first]] >= peak:
+        chosen = order[first : first + batch]
+        refined = descended(matrix[chosen], perron_scaling(matrix[chosen]), DESCENT_STEPS, peak)
+        if refined.max() > peak:
+            peak, worst = float(refined.max()), chosen[np.argmax(refined)]
+        first, batch = first + batch, 2 * batch
+    return DiskMargin(1 / peak, float(omega[worst]))
 
 
 def structured_bound(matrix: NDArray[np.complex128], descent_steps: int) -> NDArray[np.float64]:
@@ -124,6 +127,26 @@ def structured_bound(matrix: NDArray[np.complex128], descent_steps: int) -> NDAr
         From `perron_scaling` on.
     """
     return descended(matrix, perron_scaling(matrix), descent_steps)
+
+
+def norm_bound(matrix: NDArray[np.complex128], scaling: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Upper bound (matrices,) of sigma_max(D M D^-1): the 16th root of the sum of the singular values' 16th powers.
+
+    It needs only products of matrices, and is at most 1.3 times sigma_max for up to 64 signals.
+
+    Parameters
+    ----------
+    matrix
+        Matrices M (matrices, signals, signals).
+    scaling
+        Logarithms of the diagonal D (matrices, signals).
+    """
+    scale = np.exp(scaling)
+    rescaled = matrix * (scale[:, :, None] / scale[:, None, :])
+    power = rescaled.conj().swapaxes(1, 2) @ rescaled
+    for _ in range(2):
+        power = power @ power
+    return np.asarray(np.linalg.norm(power, axis=(1, 2)) ** (1 / 8))
 
 
 def perron_scaling(matrix: NDArray[np.complex128]) -> NDArray[np.float64]:

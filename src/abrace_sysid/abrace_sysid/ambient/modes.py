@@ -11,6 +11,7 @@ import numpy as np
 from scipy import signal
 
 from abrace_core.errors import AbraceError
+from abrace_sysid.ambient.band import band_of, mode_spectrum
 from abrace_sysid.ambient.subspace import OutputCovariances, SubspaceModes
 from abrace_sysid.fitting.pole_estimate import PoleInterval
 from abrace_sysid.fitting.stabilization import modal_assurance
@@ -76,6 +77,8 @@ class AmbientTest:
         Origin of the records.
     channels
         Names of the channels.
+    band
+        In which modes were searched [Hz].
     modes
         Modes of the structure, lowest frequency first.
     candidates
@@ -91,6 +94,7 @@ class AmbientTest:
 
     source: str
     channels: tuple[str, ...]
+    band: tuple[float, float]
     modes: tuple[AmbientMode, ...]
     candidates: tuple[SubspaceModes, ...]
     pieces: int
@@ -103,7 +107,7 @@ def ambient_modes(
     records: Sequence[NDArray[np.float64]],
     channels: Sequence[str],
     sample_rate: float,
-    band: tuple[float, float],
+    band: tuple[float, float] | None = None,
     highest_order: int = 40,
 ) -> AmbientTest:
     """Modes of a structure from its responses to an excitation that was not measured.
@@ -119,20 +123,19 @@ def ambient_modes(
     sample_rate
         [Hz].
     band
-        Lowest and highest frequency of modes [Hz].
+        Lowest and highest frequency of modes [Hz]; None: around the slowest resonance, as `band_of` finds it.
     highest_order
         Greatest model order (number of poles).
 
     Raises
     ------
     AbraceError
-        If the band is not within 0 to half the sample rate, a value is not finite, a channel never changes, or the
-        records are too short.
+        If the band is not within 0 to half the sample rate, a value is not finite, a channel never changes, the records
+        are too short, or no band is given and no resonance found.
     """
-    low, high = band
-    if not 0 < low < high <= sample_rate / 2:
+    if band is not None and not 0 < band[0] < band[1] <= sample_rate / 2:
         raise AbraceError(
-            f"band {low:g} to {high:g} Hz, expected within 0 to {sample_rate / 2:g} Hz, the lower above 0"
+            f"band {band[0]:g} to {band[1]:g} Hz, expected within 0 to {sample_rate / 2:g} Hz, the lower above 0"
         )
     for record in records:
         for name, column in zip(channels, record.T, strict=True):
@@ -140,6 +143,7 @@ def ambient_modes(
                 raise AbraceError(f"{source}: channel {name} has values that are not finite")
             if not np.ptp(column):
                 raise AbraceError(f"{source}: channel {name} never changes from {column[0]:g}")
+    low, high = band = band or band_of(source, records, sample_rate)
     factor = max(1, math.floor(sample_rate / (OVERSAMPLING * high)))
     rate = sample_rate / factor
     prepared = [_prepared(record, sample_rate, factor, low) for record in records]
@@ -161,11 +165,12 @@ def ambient_modes(
     return AmbientTest(
         source,
         tuple(channels),
+        band,
         tuple(modes),
         tuple(candidates),
         covariances.pieces,
         sum(len(record) for record in records) / sample_rate,
-        _spectrum(prepared, rate),
+        mode_spectrum(prepared, rate, min(max(len(record) for record in prepared) // 8, 4096)),
     )
 
 
@@ -225,12 +230,3 @@ def _same(one: AmbientMode, other: AmbientMode) -> bool:
     if abs(one.frequency / other.frequency - 1) > FREQUENCY:
         return False
     return bool(1 - modal_assurance(one.shape[None], other.shape[None])[0, 0] < SHAPE)
-
-
-def _spectrum(records: Sequence[NDArray[np.float64]], rate: float) -> NDArray[np.float64]:
-    """(lines, 2) frequency and first singular value of the spectral matrix, by Welch's method."""
-    record = max(records, key=len)
-    segment = min(len(record) // 8, 4096)
-    frequency, _, parts = signal.stft(record.T, rate, nperseg=segment)
-    matrices = np.einsum("aft,bft->fab", parts, parts.conj()) / parts.shape[-1]
-    return np.column_stack([frequency, np.linalg.svd(matrices, compute_uv=False)[:, 0]])

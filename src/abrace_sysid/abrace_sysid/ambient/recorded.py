@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def ambient_test(
-    runs: Sequence[Run], channels: Sequence[str], band: tuple[float, float], highest_order: int
+    runs: Sequence[Run], channels: Sequence[str], band: tuple[float, float] | None, highest_order: int
 ) -> tuple[AmbientTest, tuple[str, ...]]:
     """Modes from recorded tests without commands, and a warning for each test of which only a piece is used.
 

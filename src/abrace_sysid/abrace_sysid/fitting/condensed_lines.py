@@ -15,6 +15,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from abrace_core.errors import AbraceError
+from abrace_sysid.fitting.modes import across
 from abrace_sysid.fitting.pole_basis import sides_of, whole_samples
 from abrace_sysid.fitting.pole_estimate import columns_of
 
@@ -25,6 +26,12 @@ if TYPE_CHECKING:
 
     from abrace_sysid.fitting.modes import Modes
     from abrace_sysid.fitting.observation import Observation
+
+ROUNDING = 1e-12
+"""Shares of a unit vector that are due to rounding."""
+
+INDEPENDENT = 1e-4
+"""Share of every column that the others leave unexplained, above which products of columns are as good as a QR."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +125,7 @@ def condensed(observations: Sequence[Observation], inputs: Sequence[str], modes:
     for observation in observations:
         shown = observation.shown(modes.poles)
         first = direct[observation.inputs, shown]
-        basis, slopes, columns, kinds = _lines_of(observation, inputs, modes, shown, places, end, first)
+        basis, slopes, columns, kinds, alike = _lines_of(observation, inputs, modes, shown, places, end, first)
         end = max(end, 1 + max(columns))
         unknowns = len(columns) + modes.size
         if 2 * len(observation.z) <= unknowns:
@@ -127,9 +134,7 @@ def condensed(observations: Sequence[Observation], inputs: Sequence[str], modes:
             )
         lines = np.array([*basis, *slopes, *observation.measured.T], dtype=np.complex128) / observation.noise_level
         whole = stacked(lines.T)
-        scale = np.linalg.norm(whole, axis=0)
-        scale[scale == 0] = 1.0
-        small = triangular_factor(whole / scale) * scale
+        small = triangular_factor(whole, alike)
         changes, measured = np.split(whole, [len(basis) + len(slopes)], axis=1)
         own = np.array(columns)
         tests.append(CondensedLines(observation, own, kinds, changes[:, : len(basis)], changes, measured, small))
@@ -164,10 +169,11 @@ def _lines_of(
     places: Sequence[slice],
     transient_at: int,
     direct_at: int,
-) -> tuple[list[NDArray[np.complex128]], list[NDArray[np.complex128]], list[int], tuple[Slope, ...]]:
+) -> tuple[list[NDArray[np.complex128]], list[NDArray[np.complex128]], list[int], tuple[Slope, ...], list[int]]:
     """The basis (modes, transients, direct terms), the slopes of every parameter, and the coefficients' indices.
 
-    The indices of slopes begin after those of the basis.
+    The indices of slopes begin after those of the basis. Last, the indices of the columns of slow real poles, which are
+    nearly the same for several servos.
     """
     z = observation.z
     named = [inputs.index(name) for name in observation.inputs]
@@ -178,12 +184,14 @@ def _lines_of(
     columns: list[int] = []
     of_basis: list[Slope] = []
     of_slopes: list[Slope] = []
+    alike: list[list[int]] = [[], []]  # among the basis, and among the slopes
 
-    def add_slope(new: list[NDArray[np.complex128]], coefficient: slice, parameter: slice) -> slice:
-        own = slice(len(slopes), len(slopes) + len(new))
+    def add_columns(new: list[NDArray[np.complex128]]) -> slice:
         slopes.extend(new)
-        of_slopes.append(Slope(own, coefficient, parameter))
-        return own
+        return slice(len(slopes) - len(new), len(slopes))
+
+    def add_slope(new: list[NDArray[np.complex128]], coefficient: slice, parameter: slice) -> None:
+        of_slopes.append(Slope(add_columns(new), coefficient, parameter))
 
     # a transient that is over within a sample is the same at all lines, whatever its pole; and fixed poles have none
     at_once = -modes.poles.real * observation.samplings[0].sample_period > 1
@@ -192,6 +200,7 @@ def _lines_of(
     for mode in shown:
         pole, place = modes.poles[mode], places[mode]
         sides = sides_of(pole)
+        before = len(basis), len(slopes)
         responses, changes = [], []  # of each side (the pole, its conjugate): (lines, inputs)
         for side in sides:
             pairs = [
@@ -205,16 +214,23 @@ def _lines_of(
         basis += combined(responses, drive[named])
         columns += range(place.start, place.stop)
         add_slope(combined(changes, drive[named]), place, at[mode, None])
-        vectors = [(own, drive, of_basis)]
-        for direction, vector in enumerate(modes.directions(mode).T):
-            turned = add_slope(combined(responses, vector[named]), place, at[mode, direction])
-            vectors.append((turned, vector, of_slopes))
-        for i in (i for i in named if i in delays and drive[i]):
-            # -(p x + u): the state that the input alone makes is a sum of those that drive and directions make
-            moved = slice(delays[i], delays[i] + 1)
-            for where, vector, found in vectors:
-                found.append(Slope(where, place, moved, -pole * drive[i] * np.conj(vector[i])))
-            later.append((i, place, -drive[i]))
+        # the states that this test's inputs can make: orthogonal combinations of the inputs, the first is the drive's
+        axes = [(own, drive[named], of_basis)] if drive[named].any() else []
+        for vector in across(drive[named], modes.driven[mode, named], pole.imag > 0).T:
+            axes.append((add_columns(combined(responses, vector)), vector, of_slopes))
+
+        # changes of the state, as those of inputs in these proportions, by their parameters
+        moves = [(vector[named], at[mode, i]) for i, vector in enumerate(modes.directions[mode].T)]
+        for number, i in enumerate(named):
+            if i in delays and drive[i]:
+                # -(p x + u)
+                moves.append((-pole * drive[i] * np.eye(len(named))[number], slice(delays[i], delays[i] + 1)))
+                later.append((i, place, -drive[i]))
+        for vector, parameter in moves:
+            for where, axis, found in axes:
+                share = np.vdot(axis, vector) / np.vdot(axis, axis).real
+                if abs(share) > ROUNDING:
+                    found.append(Slope(where, place, parameter, complex(share)))
         if observation.transient and slow[mode]:
             leaks = [observation.samplings[0].transient(side, z) for side in sides]
             basis += combined([leak[0][:, None] for leak in leaks], np.ones(1))
@@ -223,6 +239,9 @@ def _lines_of(
             transient = slice(transient_at, transient_at + size)
             add_slope(combined([leak[1][:, None] for leak in leaks], np.ones(1)), transient, at[mode, None])
             transient_at += size
+        if len(sides) == 1 and slow[mode]:
+            alike[0] += range(before[0], len(basis))
+            alike[1] += range(before[1], len(slopes))
     if observation.transient and at_once[list(shown)].any():
         basis.append(np.ones(len(z), dtype=np.complex128))
         columns.append(transient_at)
@@ -240,7 +259,7 @@ def _lines_of(
     behind = [
         replace(one, columns=slice(one.columns.start + len(basis), one.columns.stop + len(basis))) for one in of_slopes
     ]
-    return basis, slopes, columns, (*of_basis, *behind)
+    return basis, slopes, columns, (*of_basis, *behind), [*alike[0], *(len(basis) + i for i in alike[1])]
 
 
 def combined(sides: Sequence[NDArray[np.complex128]], vector: NDArray[Any]) -> list[NDArray[np.complex128]]:
@@ -262,7 +281,27 @@ def stacked(lines: NDArray[np.complex128]) -> NDArray[np.float64]:
     return found
 
 
-def triangular_factor(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """R of a QR factorization of `rows`, which are overwritten; without the copies that np.linalg.qr makes."""
-    _, factor = linalg.qr(rows, mode="raw", overwrite_a=True, check_finite=False)
+def triangular_factor(rows: NDArray[np.float64], alike: Sequence[int] = ()) -> NDArray[np.float64]:
+    """R of a QR factorization of `rows`, from the products of their columns where these are well apart.
+
+    Columns that are nearly `alike`, given by rising index, are made orthogonal to each other before.
+    """
+    own, among = rows, np.zeros((0, 0))
+    if len(alike) > 1:
+        own = rows.copy(order="F")
+        own[:, alike], among = np.linalg.qr(rows[:, alike])
+    try:
+        factor = np.asarray(linalg.cholesky(own.T @ own, check_finite=False))
+    except linalg.LinAlgError:
+        return _factorized(rows)
+    if not (np.diag(factor) > INDEPENDENT * np.linalg.norm(factor, axis=0)).all():
+        return _factorized(rows)
+    if len(alike) > 1:
+        factor[:, alike] = factor[:, alike] @ among
+    return factor
+
+
+def _factorized(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """R of a QR factorization of `rows`; without the copies that np.linalg.qr makes."""
+    _, factor = linalg.qr(rows, mode="raw", check_finite=False)
     return np.asarray(factor)

@@ -60,7 +60,7 @@ def of_entries(
     for mode, direction, columns in modes.parameters():
         if direction is None:
             continue
-        turned = modes.directions(mode)[:, direction] / unit
+        turned = modes.directions[mode][:, direction] / unit
         for factor, column in zip((1, 1j), range(columns.start, columns.stop), strict=False):
             parts = (factor * turned).real, (factor * turned).imag
             for place, part in zip(range(places[mode].start, places[mode].stop), parts, strict=False):

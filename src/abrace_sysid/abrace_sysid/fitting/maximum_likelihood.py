@@ -32,7 +32,7 @@ from abrace_sysid.fitting.curve_fit import require_stable
 from abrace_sysid.fitting.joint_covariance import inflation, of_entries
 from abrace_sysid.fitting.likelihood import FASTEST, Likelihood
 from abrace_sysid.fitting.pole_estimate import PoleEstimate, columns_of
-from abrace_sysid.fitting.starting_modes import starting_modes
+from abrace_sysid.fitting.starting_modes import modes_of, starting_modes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -59,7 +59,7 @@ ROUGH = 2.0
 
 def fit_poles(
     observations: Sequence[Observation],
-    start: NDArray[np.complex128],
+    start: NDArray[np.complex128] | PoleEstimate,
     driven: NDArray[np.bool_] | None = None,
     fixed: NDArray[np.bool_] | None = None,
     most: int = ITERATIONS,
@@ -74,7 +74,8 @@ def fit_poles(
         The tests, with the same outputs.
     start
         Starting poles [rad/s], of each pair the one above the real axis, and real ones; they keep their order.
-        They must be right within a few half-power bandwidths, as those of `vector_fitting` are.
+        They must be right within a few half-power bandwidths, as those of `vector_fitting` are. Or the fit of tests
+        with the same inputs, whose drives and delays are started from, too.
     driven
         (poles, inputs) whether an input can drive a mode, inputs in the order of their first appearance in the tests;
         None: all inputs of the tests that show the mode.
@@ -94,7 +95,7 @@ def fit_poles(
     AbraceError
         If the tests have too few lines, the steps do not converge, or a pole found is unstable.
     """
-    poles = np.array(start, dtype=np.complex128)
+    poles = np.array(start.poles if isinstance(start, PoleEstimate) else start, dtype=np.complex128)
     if not len(poles) or not np.isfinite(poles).all() or (poles.imag < 0).any():
         raise AbraceError(f"maximum likelihood: start {poles}, expected upper poles of pairs and real poles")
     for observation in observations:
@@ -102,10 +103,17 @@ def fit_poles(
             raise AbraceError(f"{observation.source}: poles {observation.poles}, expected within 0 to {len(poles) - 1}")
     inputs = tuple(dict.fromkeys(name for observation in observations for name in observation.inputs))
     where = ", ".join(dict.fromkeys(observation.source for observation in observations))
-    modes, unit = starting_modes(observations, inputs, poles, driven, fixed, delays)
-    observations = [observation.in_units(dict(zip(inputs, unit, strict=True))) for observation in observations]
-    if max(len(observation.z) for observation in observations) > 2 * FEW_LINES:
-        few = [one.thinned(FEW_LINES) for one in observations]
+    many = max(len(observation.z) for observation in observations) > 2 * FEW_LINES
+    few = [observation.thinned(FEW_LINES) for observation in observations] if many else observations
+    if isinstance(start, PoleEstimate):
+        modes, unit = modes_of(start)
+    else:
+        modes, unit = starting_modes(few, inputs, poles, driven, fixed, delays)
+    observations, few = (
+        [observation.in_units(dict(zip(inputs, unit, strict=True))) for observation in each]
+        for each in (observations, few)
+    )
+    if many and not isinstance(start, PoleEstimate):
         near, converged, _ = _climbed(few, inputs, modes, most, ROUGH)
         modes = near.modes if near is not None and converged else modes
     likelihood, converged, iterations = _climbed(observations, inputs, modes, most, INSIGNIFICANT)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,14 +50,10 @@ class Modes:
     delayed: NDArray[np.bool_]
     direct: NDArray[np.bool_]
 
-    def directions(self, mode: int) -> NDArray[np.complex128]:
-        """(inputs, directions) orthonormal changes of a mode's drive, orthogonal to it; real for real poles."""
-        inputs = np.flatnonzero(self.driven[mode])
-        found = np.zeros((self.driven.shape[1], max(0, len(inputs) - 1)), dtype=np.complex128)
-        if found.size:
-            own = self.drive[mode, inputs][:, None]
-            found[inputs] = np.linalg.qr(own if self.poles[mode].imag > 0 else own.real, mode="complete")[0][:, 1:]
-        return found
+    @cached_property
+    def directions(self) -> list[NDArray[np.complex128]]:
+        """Of each mode (inputs, directions) orthonormal changes of its drive, orthogonal to it; real for real poles."""
+        return [across(*mode) for mode in zip(self.drive, self.driven, self.poles.imag > 0, strict=True)]
 
     def parameters(self) -> list[tuple[int, int | None, slice]]:
         """For each parameter its mode, direction of the drive (None: the pole itself) and columns; poles first."""
@@ -97,5 +94,25 @@ class Modes:
                 elif poles[mode].imag <= 0:
                     poles[mode] = np.nan
             else:
-                drive[mode] += by * self.directions(mode)[:, direction]
+                drive[mode] += by * self.directions[mode][:, direction]
         return replace(self, poles=poles, drive=drive / np.linalg.norm(drive, axis=1, keepdims=True), delays=delays)
+
+
+def across(drive: NDArray[np.complex128], driven: NDArray[np.bool_], paired: bool) -> NDArray[np.complex128]:
+    """(inputs, directions) orthonormal vectors, orthogonal to a drive.
+
+    Parameters
+    ----------
+    drive
+        (inputs,).
+    driven
+        (inputs,) whether an input can drive the mode; the others are zero in all vectors.
+    paired
+        Whether the mode is a pair of poles; vectors of a real pole are real.
+    """
+    inputs = np.flatnonzero(driven)
+    found = np.zeros((len(drive), max(0, len(inputs) - 1)), dtype=np.complex128)
+    if found.size:
+        own = drive[inputs][:, None]
+        found[inputs] = np.linalg.qr(own if paired else own.real, mode="complete")[0][:, 1:]
+    return found

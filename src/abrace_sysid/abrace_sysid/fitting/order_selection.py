@@ -224,9 +224,8 @@ def search_order(
         (trial,) = try_orders(few, measured, [form._replace(pairs=found.order.pairs)], groups, FORM_ITERATIONS, starts)
         if _description(trial) < _description(best) and (fixed or not no_modes(trial.estimate, lines)):
             best = trial
-    near = best.estimate
-    assert near is not None
-    return fit_poles(observations, near.poles, near.drive != 0, spread="none", delays=near.delays)
+    assert best.estimate is not None
+    return fit_poles(observations, best.estimate, spread="none")
 
 
 def no_modes(estimate: PoleEstimate | None, lines: NDArray[np.float64]) -> list[PoleInterval]:

@@ -81,9 +81,13 @@ class Sampling:
         first, first_slope = _step(pole, recent)
         second = (a - before) / pole
         second_slope = (period * a - recent * before - second) / pole
-        below, later = z ** -float(samples) / (z - a), 1 / z
+        below, later = 1 / (z - a), z.conj()  # on the unit circle 1 / z
         response = (first + second * later) * below
-        return response, (first_slope + second_slope * later) * below + period * a * response / (z - a)
+        slope = (first_slope + second_slope * later + period * a * response) * below
+        if samples:
+            whole = z ** -float(samples)
+            return response * whole, slope * whole
+        return response, slope
 
     def transient(
         self, pole: complex, z: NDArray[np.complex128]

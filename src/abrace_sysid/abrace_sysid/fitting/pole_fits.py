@@ -190,7 +190,7 @@ def _of_tests_with_all_inputs(
     tests = _observations([table])
     first = search_order(tests, responses, given or floors, _servos(groups), groups, given > 0)
     tests, found = _with_noise_as_found(tests, first)
-    return fit_poles(tests, found.poles, found.drive != 0, spread="joint", delays=found.delays)
+    return fit_poles(tests, found, spread="joint")
 
 
 def _of_tests_apart(
@@ -247,7 +247,7 @@ def _with_noise_as_found(
     if observations[0].transient or len(observations) >= LEAST_PIECES:
         even = [one.with_noise(np.ones(len(one.z))) for one in observations]
         found = weighed(even, estimate, NEIGHBOURS)
-    again = fit_poles(found, estimate.poles, estimate.drive != 0, delays=estimate.delays)
+    again = fit_poles(found, estimate)
     return [replace(one, weight=1 / again.inflation) for one in found], again
 
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_sysid.fitting.observation import Observation
+    from abrace_sysid.fitting.pole_estimate import PoleEstimate
 
 COINCIDENT = 1e-5
 """Least singular value of the basis, relative to the greatest: coincident poles, of equal servos, share a residue."""
@@ -83,6 +84,23 @@ def starting_modes(
         drive[mode] = drive[mode] / length if length > 0 else driven[mode] / np.sqrt(driven[mode].sum())
     fixed = np.zeros(len(poles), dtype=np.bool_) if fixed is None else fixed
     return Modes(poles, drive, driven, fixed, delays, delays > 0, direct), unit
+
+
+def modes_of(estimate: PoleEstimate) -> tuple[Modes, NDArray[np.float64]]:
+    """Modes and units as `starting_modes` gives them, from a fit of tests with the same inputs.
+
+    Parameters
+    ----------
+    estimate
+        The fit.
+    """
+    size = np.linalg.norm(estimate.drive, axis=0)
+    unit = 1 / np.where(size > 0, size, 1.0)
+    drive = estimate.drive * unit
+    drive /= np.linalg.norm(drive, axis=1, keepdims=True)
+    delays = np.nan_to_num(estimate.delays)
+    fixed, direct = np.zeros(len(drive), dtype=np.bool_), np.isnan(estimate.delays)
+    return Modes(estimate.poles, drive, drive != 0, fixed, delays, delays > 0, direct), unit
 
 
 def _residues(

@@ -46,9 +46,6 @@ HEAVY_DAMPING = 0.3
 APART = 0.7
 """Ratio of the starting values of several servos' slow poles."""
 
-INDEPENDENT = 1e-5
-"""Share of every column that the others leave unexplained, above which products of columns are as good as a QR."""
-
 MORE = 3
 """Orders beyond the least one at which starting poles are searched."""
 
@@ -260,7 +257,7 @@ def _relocated(
     for g, weight in zip(response.T, root.T, strict=True):
         weighted = fractions * weight[:, None]
         columns = np.hstack([weighted, -weighted * g[:, None]])
-        condensed.append(_triangle(stacked(columns))[order + 1 :, order + 1 :])
+        condensed.append(triangular_factor(stacked(columns))[order + 1 :, order + 1 :])
     rows = np.vstack(condensed)
     # the relaxed condition: sigma is 1 on average over the lines, with the same weight as the other equations
     importance = np.linalg.norm(root * response) / len(z)
@@ -281,16 +278,6 @@ def _relocated(
     zeros = np.asarray(linalg.eigvals(state_matrix), dtype=np.complex128)
     upper, real = zeros[zeros.imag > 0], zeros[zeros.imag == 0]
     return np.concatenate([upper[np.argsort(np.abs(np.log(upper)))], real[np.argsort(-np.abs(real))]])
-
-
-def _triangle(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """R of a QR factorization of `rows`; where its columns are well apart, from their products, three times as fast."""
-    try:
-        factor = linalg.cholesky(linalg.blas.dsyrk(1.0, rows, trans=1), check_finite=False)
-    except linalg.LinAlgError:
-        return triangular_factor(rows)
-    apart = np.diag(factor) > INDEPENDENT * np.linalg.norm(factor, axis=0)
-    return np.asarray(factor) if apart.all() else triangular_factor(rows)
 
 
 def _complex_residues(a: NDArray[np.complex128], coefficients: NDArray[np.float64]) -> NDArray[np.complex128]:

@@ -27,7 +27,14 @@ PARAMETERS = [
     Parameter("bag", [], "bag, or list of bags, of a test without commands", element=str, required=True),
     Parameter("before", [], "bags of an earlier test, to compare with; empty: none", element=str),
     Parameter("channels", [], "outputs to use, as a1; empty: all accelerations", element=str),
-    Parameter("band", [0.3, 20.0], "Hz, lowest and highest frequency of modes", minimum=0.0),
+    Parameter(
+        "band",
+        [],
+        "Hz, lowest and highest frequency of modes; empty: 0.3 to 20 times the slowest resonance, that of `before` "
+        "where it is given",
+        element=float,
+        minimum=0.0,
+    ),
     Parameter("highest_order", 40, "greatest number of poles that is tried", minimum=4, maximum=200),
     Parameter("output", "", "folder for ambient.json and figures", required=True),
 ]
@@ -42,14 +49,16 @@ class Ambient(AbraceNode):
     def work(self) -> None:
         """Read, identify, compare, write, draw."""
         given = self.parameters
-        if len(given.band) != 2:
+        if len(given.band) not in (0, 2):
             raise AbraceError(f"parameter band: {given.band}, expected two frequencies in Hz")
-        found = self.test(given.bag)
+        band = (given.band[0], given.band[1]) if given.band else None
+        before = self.test(given.before, band) if given.before else None
+        # both tests in one band, or a difference could be that of the bands
+        found = self.test(given.bag, before.band if before else band)
         self.show(found)
         content = _as_json(found)
         drawings = {"ambient_stabilization": figures.ambient_stabilization(found)}
-        if given.before:
-            before = self.test(given.before)
+        if before:
             change = compare_tests(before, found)
             content["change"] = _change_as_json(before, change)
             drawings["building_change"] = figures.building_change(change)
@@ -60,21 +69,23 @@ class Ambient(AbraceNode):
             save_figure(figure, output / f"{name}.png")
         print(f"wrote {output}")
 
-    def test(self, bags: list[str]) -> AmbientTest:
-        """Identify modes from bags."""
+    def test(self, bags: list[str], band: tuple[float, float] | None) -> AmbientTest:
+        """Identify modes from bags, within a band [Hz]."""
         print(f"reading {', '.join(bags)}", flush=True)
         given = self.parameters
         runs = [one for bag in bags for one in read_runs(bag)]
-        found, warnings = ambient_test(runs, given.channels, (given.band[0], given.band[1]), given.highest_order)
+        found, warnings = ambient_test(runs, given.channels, band, given.highest_order)
         for warning in (*(text for one in runs for text in one.facts.get("warnings", [])), *warnings):
             self.get_logger().warning(warning)
         if not found.modes:
-            self.get_logger().warning(f"{found.source}: no mode from {given.band[0]:g} to {given.band[1]:g} Hz")
+            self.get_logger().warning(f"{found.source}: no mode from {found.band[0]:.3g} to {found.band[1]:.3g} Hz")
         return found
 
     def show(self, found: AmbientTest) -> None:
         """Print the modes."""
-        print(f"{len(found.modes)} modes in {found.seconds:g} s of {', '.join(found.channels)}, with 95 % intervals:")
+        record = f"{found.seconds:g} s of {', '.join(found.channels)}"
+        band = f"{found.band[0]:.3g} to {found.band[1]:.3g} Hz"
+        print(f"{len(found.modes)} modes in {record}, {band}, with 95 % intervals:")
         for mode in found.modes:
             one = mode.interval
             low, high = one.frequency_interval
@@ -103,6 +114,7 @@ def _as_json(found: AmbientTest) -> dict[str, Any]:
         "source": found.source,
         "seconds": found.seconds,
         "channels": list(found.channels),
+        "band": list(found.band),
         "modes": [_mode_as_json(mode) for mode in found.modes],
     }
 

@@ -9,6 +9,8 @@ import numpy as np
 from scipy import linalg
 from scipy.ndimage import uniform_filter1d
 
+from abrace_sysid.fitting.condensed_lines import triangular_factor
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -42,7 +44,7 @@ def regression(
         weighted = both * weight[:, None]
         scale = np.linalg.norm(weighted, axis=0)
         # with the measured values as the last column Q, the dearest part, is not needed
-        triangle = np.asarray(np.linalg.qr(np.column_stack([weighted / scale, values * weight]), mode="r"))
+        triangle = triangular_factor(np.column_stack([weighted / scale, values * weight]))
         r = triangle[:-1, :-1]
         coefficients = linalg.solve_triangular(r, triangle[:-1, -1]) / scale
         residual = values - both @ coefficients

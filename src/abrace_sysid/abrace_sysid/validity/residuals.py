@@ -20,6 +20,7 @@ from scipy.ndimage import uniform_filter1d
 from abrace_core import signals
 from abrace_core.discretization import discretize
 from abrace_core.linear_model import takes_models
+from abrace_sysid.fitting.condensed_lines import stacked, triangular_factor
 from abrace_sysid.fitting.pole_basis import Sampling
 from abrace_sysid.spectra.fourier import spectra_of
 from abrace_sysid.spectra.frequency_response import sampled_response
@@ -254,10 +255,9 @@ def _without_transient(
     basis = np.column_stack(columns)
     found = np.empty_like(left)
     for j, column in enumerate(left.T):
-        weighted, values = basis / level[:, j, None], column / level[:, j]
-        both = np.vstack([weighted.real, weighted.imag])
-        scale = np.linalg.norm(both, axis=0)
-        solved = np.linalg.lstsq(both / scale, np.concatenate([values.real, values.imag]), rcond=None)[0] / scale
+        triangle = triangular_factor(stacked(np.column_stack([basis, column]) / level[:, j, None]))
+        scale = np.linalg.norm(triangle[:-1, :-1], axis=0)
+        solved = np.linalg.lstsq(triangle[:-1, :-1] / scale, triangle[:-1, -1], rcond=None)[0] / scale
         found[:, j] = column - basis @ solved
     return found
 
