@@ -115,6 +115,10 @@ def test_a_recorded_test_gets_the_criteria_that_the_model_predicts(tmp_path):
     for name, value in measured.items():
         assert value == pytest.approx(predicted[name], rel=0.05), name
     assert not {"J16", "J17"} & set(of_tests(benchmark, controlled, free)[0]), "the law is not known"
+    shifted = replace(controlled, braces=(2,), forces=controlled.outputs[:, -1:] + [[2000.0, -2000.0]])
+    assert of_tests(benchmark, shifted, free)[0]["J11"] > measured["J11"] + 1000 / benchmark.layout.weight
+    with pytest.raises(AbraceError, match="braces in its groups 1, expected those of small: 2"):
+        recorded(benchmark, replace(controlled, braces=(1,), forces=controlled.outputs[:, -1:]))
     with pytest.raises(AbraceError, match="5 floors and 2 brace groups, expected those of small: 3 and 1"):
         recorded(benchmark, abrace.simulate("five_storey", "el_centro", duration=1.0))
 
