@@ -13,8 +13,8 @@ from bag_of_run import write_bag
 
 import abrace
 from abrace.benchmark import trade_off as trade_off_module
-from abrace.benchmark.comparison import Evaluation, worst_table
-from abrace.benchmark.criteria import peaks
+from abrace.benchmark.comparison import Evaluation, uncontrolled_table, worst_table
+from abrace.benchmark.criteria import Layout, Responses, peaks
 from abrace.benchmark.definition import DATA, benchmark_names, load_definition
 from abrace.benchmark.frame_benchmark import FrameBenchmark
 from abrace.benchmark.laws import designed, margins_of, references
@@ -42,6 +42,25 @@ def test_uncontrolled_values_of_the_20_storey_building_are_the_shipped_ones(twen
     case = twenty.definition.cases[3]
     found = peaks(twenty.without_control(case, twenty.newmark), twenty.layout)
     assert found == pytest.approx(case.uncontrolled, rel=1e-4)
+
+
+@needs_records
+def test_uncontrolled_values_of_the_3_storey_building_are_those_of_an_independent_rebuild():
+    three = FrameBenchmark(load_definition("sac_la_3"))
+    found = peaks(three.without_control(three.definition.cases[3], three.newmark), three.layout)
+    rebuilt = {"d_max": 1.74573e-2, "xdd_max": 7.93566, "F_max": 1.36650e7, "d_max_norm": 3.53923e-3}
+    rebuilt |= {"xdd_max_norm": 1.50139, "F_max_norm": 2.79448e6, "x_max": 0.180445, "xd_max": 1.07596}
+    assert {name: found[name] for name in rebuilt} == pytest.approx(rebuilt, rel=1e-5)
+
+
+@needs_records
+def test_no_member_of_the_9_storey_building_yields_in_its_cases_and_both_controllers_reduce_all():
+    nine = FrameBenchmark(load_definition("sac_la_9"))
+    assert all(0.7 < nine.uncontrolled(case)["phi_max"] < 1 for case in nine.definition.cases)
+    for name, law in references(nine).items():
+        worst = Evaluation.of(name, nine.evaluate(law), nine.layout).worst()
+        assert all(worst[f"J{i}"] < 0.9 for i in (1, 2, 3, 4, 5, 6, 7, 10)), (name, worst)
+        assert margins_of(nine, law)["gain_margin_db"] > 6, name
 
 
 @needs_records
@@ -115,6 +134,10 @@ def test_a_recorded_test_gets_the_criteria_that_the_model_predicts(tmp_path):
     for name, value in measured.items():
         assert value == pytest.approx(predicted[name], rel=0.05), name
     assert not {"J16", "J17"} & set(of_tests(benchmark, controlled, free)[0]), "the law is not known"
+    shifted = replace(controlled, braces=(2,), forces=controlled.outputs[:, -1:] + [[2000.0, -2000.0]])
+    assert of_tests(benchmark, shifted, free)[0]["J11"] > measured["J11"] + 1000 / benchmark.layout.weight
+    with pytest.raises(AbraceError, match="braces in its groups 1, expected those of small: 2"):
+        recorded(benchmark, replace(controlled, braces=(1,), forces=controlled.outputs[:, -1:]))
     with pytest.raises(AbraceError, match="5 floors and 2 brace groups, expected those of small: 3 and 1"):
         recorded(benchmark, abrace.simulate("five_storey", "el_centro", duration=1.0))
 
@@ -198,6 +221,25 @@ def test_the_table_of_lqg1_to_lqg5_in_the_documentation_is_what_the_benchmark_gi
         shown, *cells = (cell.strip() for cell in line.strip("|").split("|"))
         assert shown == label
         assert [float(cell) for cell in cells] == pytest.approx([float(value) for value in values], rel=0.005), label
+
+
+def test_the_page_says_what_criteria_are_divided_by_and_where_members_would_yield():
+    values = dict.fromkeys(("d_max", "xd_max", "phi_max"), 1.5)
+    table = uncontrolled_table({"one": values | {"phi_max": 0.9}, "two": values})
+    assert table.header == ("criteria are divided by", "one", "two")
+    assert ("greatest curvature over yield", "0.9", "1.5") in table.rows
+    assert "would yield" in table.notes[0]
+    assert not uncontrolled_table({"one": values | {"phi_max": 0.9}}).notes
+
+
+def test_a_loop_that_is_not_stable_differs_from_one_whose_margins_are_not_known():
+    case = {"one": ({"J1": 0.5}, Responses(1.0, *[np.zeros((2, 1))] * 4))}
+    layout = Layout(np.ones(1), np.ones(1), (1,), (1,), (1.0,))
+    margins = {"gain_margin_db": 9.0, "phase_margin_deg": 60.0, "disk_margin": 0.4}
+    given = {"known": margins, "unstable": {}, "node": None}
+    table = worst_table("", [Evaluation.of(name, case, layout, each) for name, each in given.items()])
+    assert table.rows[-1] == ("disk margin", "0.4", "not stable", "-")
+    assert len(worst_table("", [Evaluation.of("node", case, layout)]).rows) == 1
 
 
 def record(path: Path, peak: float) -> Path:
@@ -297,7 +339,12 @@ def test_recorded_tests_of_different_motions_are_refused(change, message, tmp_pa
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["sac_la_21"], "unknown, expected"),
+        (["sac_la_21"], "sac_la_9) or a rig (five_storey"),
+        (["sac_la_3", "--record", "still.csv"], "without control is 0, expected a ground that moves"),
+        (["ncree_three_storey", "--controller", "none/here"], "--controller none/here: no package 'none'"),
+        (["ncree_three_storey", "--controller", "none.py"], "--controller none.py: no such file"),
+        (["outside.yaml"], "outside.yaml: name: '../small', expected up to 64 letters"),
+        (["without_cases.yaml"], "benchmark file without_cases.yaml: duration: key is missing; cases: key is missing"),
         (["sac_la_3", "--record", "none.csv"], f"none.csv: not shipped, expected {DATA}"),
         (["ncree_three_storey", "--bag", "b"], "--bag and --uncontrolled, expected both or neither"),
         (["ncree_three_storey", "--noise", "1"], "--noise: given with a rig"),
@@ -315,6 +362,9 @@ def test_recorded_tests_of_different_motions_are_refused(change, message, tmp_pa
 def test_what_is_wrong_is_told_in_one_line(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv(DATA, raising=False)
+    Path("outside.yaml").write_text(small(tmp_path).read_text().replace("name: small", "name: ../small"))
+    Path("without_cases.yaml").write_text("name: x\nrig: ncree_three_storey\n")
+    record(Path("still.csv"), 0.0)
     assert main(["benchmark", *arguments]) == 2
     told = capsys.readouterr().err
     assert message in told
@@ -322,6 +372,6 @@ def test_what_is_wrong_is_told_in_one_line(arguments, message, tmp_path, monkeyp
 
 
 def test_every_benchmark_can_be_opened():
-    assert {"sac_la_3", "sac_la_20", "ncree_three_storey"} <= set(benchmark_names())
+    assert {"sac_la_3", "sac_la_9", "sac_la_20", "ncree_three_storey"} <= set(benchmark_names())
     for name in benchmark_names():
         assert open_benchmark(name).definition.name == name

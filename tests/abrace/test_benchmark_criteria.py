@@ -61,6 +61,23 @@ def test_curvature_gives_j7_and_j10():
     assert not {"J16", "J17"} & set(found)
 
 
+def test_each_device_may_have_a_force_and_a_stroke_of_its_own():
+    layout = LAYOUT.of_each_device()
+    assert (layout.storeys, layout.counts, layout.cosines) == ((1, 1, 1, 2), (1, 1, 1, 1), (1.0, 1.0, 1.0, 0.5))
+    uncontrolled = peaks(responses(), LAYOUT)
+    force = np.array([[0.0, 0.0, 0.0, 0.0], [10.0, 40.0, -20.0, -20.0], [30.0, 30.0, 30.0, 5.0]])
+    stroke, rate = np.full((3, 4), 0.01), np.full((3, 4), 0.1)
+    stroke[1, 3] = -0.05
+    found = criteria(responses(force=force, stroke=stroke, stroke_rate=rate), layout, uncontrolled)
+    weight = 9.81 * 150.0
+    assert found["J11"] == pytest.approx(40.0 / weight), "one device's, not the mean of its group"
+    assert found["J12"] == pytest.approx(0.05 / 0.06)
+    assert found["J13"] == pytest.approx(0.1 * 95.0 / (0.3 * weight))
+    assert found["J15"] == 4
+    with pytest.raises(AbraceError, match=r"stroke of shape \(3, 1\), expected \(samples, 4\)"):
+        criteria(responses(force=force, stroke=stroke[:, :1]), layout, uncontrolled)
+
+
 def test_responses_of_another_building_are_refused():
     with pytest.raises(AbraceError, match=r"velocity of shape \(3, 1\), expected \(samples, 2\)"):
         peaks(responses(velocity=np.zeros((3, 1))), LAYOUT)

@@ -118,6 +118,12 @@ def test_interlocks_of_the_rig_act_in_an_exploration(monkeypatch):
     [
         (["--limit", "d1"], "--limit d1: expected NAME=NUMBER, such as a1=0"),
         (["--limit", "q1=3"], "limits q1=3: expected a value above 0 for some of x1"),
+        (["--limit", "d1=inf"], "--limit d1=inf: expected NAME=NUMBER"),
+        (["--limit", "d1=0.01", "d1=0.02"], "--limit: 2 of d1, expected one of each quantity"),
+        (["--fault", "a1=nan"], "--fault a1=nan: expected NAME=NUMBER"),
+        (["--fault", "a1=0", "a1=0"], "fault a1=0: given twice, expected each once"),
+        (["--noise-duration", "nan"], "noise of nan s: expected a finite duration"),
+        (["--workers", "0"], "--workers: 0, expected 1 or more"),
         (["--intensity", "2", "1"], "intensities [2.0, 1.0], expected numbers above 0 that rise"),
         (["--models", "5"], "models 5: ncree_three_storey has no covariance to draw models from"),
         (["--fault", "a1=0"], "fault a1=0: no controller measures a1"),

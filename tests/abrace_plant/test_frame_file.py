@@ -21,6 +21,12 @@ FREQUENCIES_20 = [0.261304, 0.752646, 1.298988, 1.827195, 2.398195, 2.441561, 2.
 
 YOUNG = 1.99948e11
 """29 000 ksi [N/m^2]."""
+PLASTIC = {"W24x335": 1020, "W24x131": 370, "W24x84": 224, "W30x108": 346, "W24x62": 153}
+PLASTIC |= {"W14x500": 1050, "W14x370": 736, "W14x233": 436, "W36x160": 624, "W24x68": 177}
+PLASTIC |= {"W14x311": 603, "W33x118": 415}
+"""Plastic section moduli by AISC [in^3], of some columns and beams."""
+COLUMNS, BEAMS = 377.3e6, 322.3e6
+"""Stresses at which the benchmark's members yield [Pa]."""
 
 
 def frame_file(name: str) -> Path:
@@ -109,6 +115,18 @@ def test_guyans_reduction_to_levels_says_its_error():
     errors = structure.frequency_errors(structure.condensed(np.array(horizontal)))
     assert errors[0] == pytest.approx(0, abs=2e-3)
     assert 0 < errors.max() < 0.5
+
+
+@pytest.mark.parametrize("name", ["sac_la_20", "sac_la_9", "sac_la_3"])
+def test_members_yield_at_one_stress_of_columns_and_one_of_beams_over_the_plastic_modulus(name):
+    content = yaml.safe_load(frame_file(name).read_text(encoding="utf-8"))
+    columns = {part for storey in content["storeys"] for column in storey["columns"] for part in column.split("/")}
+    known = PLASTIC.keys() & content["sections"].keys()
+    assert len(known) >= 3
+    for section in known:
+        given = {key: float(value) for key, value in content["sections"][section].items()}
+        stress = given["yield_curvature"] * given["EI"] / (PLASTIC[section] * 0.0254**3)
+        assert stress == pytest.approx(COLUMNS if section in columns else BEAMS, rel=5e-4), section
 
 
 def test_devices_push_levels_apart_with_each_frames_share():

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -138,7 +139,8 @@ def open_benchmark(name: str, records: Iterable[str] = (), noise_seed: int | Non
         definition = load_definition(name)
     else:
         case = RigCase(record="el_centro", peak_acceleration=RIG_PEAK)
-        definition = RigDefinition(name=Path(name).stem, rig=name, duration=100.0, cases=[case])
+        plain = re.sub(r"[^A-Za-z0-9]+", "_", Path(name).stem).strip("_") or "rig"
+        definition = RigDefinition(name=plain[:64], rig=name, duration=100.0, cases=[case])
     if isinstance(definition, RigDefinition):
         if noise_seed is not None:
             raise AbraceError("--noise: given with a rig, expected a benchmark of a frame: a rig's runs are linear")
@@ -239,7 +241,7 @@ def _write(
     cases: Sequence[Any],
 ) -> str:
     """Write criteria.json, figures, report.html and report.md; returns the table as text."""
-    from abrace.benchmark.comparison import Profile, case_tables, worst_table
+    from abrace.benchmark.comparison import Profile, case_tables, uncontrolled_table, worst_table
     from abrace.benchmark.figures import criteria_figure, profile_figure
     from abrace.report.page import page
     from abrace.report.sections import Picture, Section, markdown
@@ -248,6 +250,7 @@ def _write(
 
     name = benchmark.definition.name
     table, tables = worst_table(f"Benchmark {name}", evaluations), case_tables(evaluations)
+    free = uncontrolled_table({case.name: benchmark.uncontrolled(case) for case in cases})
     content: dict[str, Any] = {one.name: {"cases": one.cases, "margins": one.margins} for one in evaluations}
     save_figure(criteria_figure(name, evaluations), folder / "criteria.png")
     pictures = [Picture(folder / "criteria.png")]
@@ -255,15 +258,15 @@ def _write(
         shown = [one for one in evaluations if case.name in one.profiles]
         if not shown:
             continue
-        free = Profile.of(benchmark.without_control(case), benchmark.layout)
+        still = Profile.of(benchmark.without_control(case), benchmark.layout)
         path = folder / f"profile_{i}.png"
-        save_figure(profile_figure(name, case.name, free, shown), path)
+        save_figure(profile_figure(name, case.name, still, shown), path)
         pictures.append(Picture(path))
     sections = [
         Section("Criteria", (table, pictures[0])),
         Section("Over the height", tuple(pictures[1:])),
         Section("Response and force", tuple(Picture(path) for path in further)),
-        Section("Each case", tuple(tables)),
+        Section("Each case", (*tables, free)),
     ]
     sections = [section for section in sections if section.parts]
     write_text(folder / "criteria.json", json.dumps(content, indent=1) + "\n")

@@ -8,6 +8,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from abrace_core.errors import AbraceError
+
 if TYPE_CHECKING:
     import argparse
 
@@ -60,7 +62,13 @@ def fragility_command(given: argparse.Namespace) -> None:
     from abrace_core.progress import Progress
     from abrace_lqg.fragility.study import named_numbers
 
-    limits = {name: values[-1] for name, values in named_numbers("--limit", given.limit).items()}
+    if given.workers is not None and given.workers < 1:
+        raise AbraceError(f"--workers: {given.workers}, expected 1 or more")
+    limits = {}
+    for name, values in named_numbers("--limit", given.limit).items():
+        if len(values) > 1:
+            raise AbraceError(f"--limit: {len(values)} of {name}, expected one of each quantity")
+        limits[name] = values[0]
     begin = time.monotonic()
     with Progress(1, sys.stdout).step("fragility") as shown:
         found = fragility(

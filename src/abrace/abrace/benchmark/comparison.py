@@ -23,6 +23,20 @@ MARGINS = {
     "phase_margin_deg": "phase margin [degrees]",
     "disk_margin": "disk margin",
 }
+QUANTITIES = {
+    "d_max": "greatest drift ratio",
+    "xdd_max": "greatest acceleration [m/s²]",
+    "F_max": "greatest base shear [N]",
+    "d_max_norm": "rms drift ratio",
+    "xdd_max_norm": "rms acceleration [m/s²]",
+    "F_max_norm": "rms base shear [N]",
+    "x_max": "greatest displacement [m]",
+    "xd_max": "greatest velocity [m/s]",
+    "phi_max": "greatest curvature over yield",
+    "phi_max_norm": "rms curvature over yield",
+}
+"""Of `criteria.peaks`, in words."""
+YIELDS = "Curvature over yield above 1: without control members of the building would yield, here it stays elastic."
 CAUTION = "Criteria are best small; the worst is the greatest of the cases."
 
 
@@ -51,15 +65,18 @@ class Evaluation:
     cases
         Criteria of each case, by its name.
     margins
-        By the names in MARGINS; empty: not known.
+        By the names in MARGINS; empty: not known, or the loop is not stable.
     profiles
         Of each case.
+    stable
+        Whether the linear loop is, as far as it is known.
     """
 
     name: str
     cases: Mapping[str, Mapping[str, float]]
     margins: Mapping[str, float] = field(default_factory=dict)
     profiles: Mapping[str, Profile] = field(default_factory=dict)
+    stable: bool = True
 
     @classmethod
     def of(
@@ -69,9 +86,13 @@ class Evaluation:
         layout: Layout,
         margins: Mapping[str, float] | None = None,
     ) -> Evaluation:
-        """Of the criteria and responses `found` in each case, with a `name`, the building's `layout`, and `margins`."""
+        """Of the criteria and responses `found` in each case.
+
+        `name` is the controller's, `layout` the building's; `margins` as `margins_of` gives them, None: not known.
+        """
+        stable = margins is None or bool(margins)
         profiles = {case: Profile.of(responses, layout) for case, (_, responses) in found.items()}
-        return cls(name, {case: values for case, (values, _) in found.items()}, margins or {}, profiles)
+        return cls(name, {case: values for case, (values, _) in found.items()}, margins or {}, profiles, stable)
 
     def worst(self) -> dict[str, float]:
         """The greatest of each criterion over the cases."""
@@ -81,12 +102,8 @@ class Evaluation:
 def worst_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
     """The worst of every criterion, and margins, below a `title`: a column for each of the `evaluations`."""
     rows = _rows([evaluation.worst() for evaluation in evaluations])
-    for name, label in MARGINS.items():
-        if any(name in evaluation.margins for evaluation in evaluations):
-            cells = (
-                f"{evaluation.margins[name]:.3g}" if name in evaluation.margins else "-" for evaluation in evaluations
-            )
-            rows += ((label, *cells),)
+    if any(one.margins or not one.stable for one in evaluations):
+        rows += tuple((label, *(_margin(one, name) for one in evaluations)) for name, label in MARGINS.items())
     return Table(title, ("greatest of the cases", *(one.name for one in evaluations)), rows, (CAUTION,))
 
 
@@ -97,6 +114,20 @@ def case_tables(evaluations: Sequence[Evaluation]) -> list[Table]:
         for case in evaluations[0].cases
         if all(case in one.cases for one in evaluations)
     ]
+
+
+def _margin(evaluation: Evaluation, name: str) -> str:
+    if name in evaluation.margins:
+        return f"{evaluation.margins[name]:.3g}"
+    return "-" if evaluation.stable else "not stable"
+
+
+def uncontrolled_table(values: Mapping[str, Mapping[str, float]]) -> Table:
+    """What the criteria are divided by: a column for each case, its `values` by the names of `criteria.peaks`."""
+    known = [name for name in QUANTITIES if all(name in case for case in values.values())]
+    rows = tuple((QUANTITIES[name], *(f"{case[name]:.4g}" for case in values.values())) for name in known)
+    yields = any(case.get("phi_max", 0.0) > 1 for case in values.values())
+    return Table("Without control", ("criteria are divided by", *values), rows, (YIELDS,) if yields else ())
 
 
 def _rows(columns: Sequence[Mapping[str, float]]) -> tuple[tuple[str, ...], ...]:

@@ -9,7 +9,7 @@ mean squares over the whole test.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -73,6 +73,16 @@ class Layout:
         """[N]."""
         return GRAVITY * float(self.masses.sum())
 
+    def of_each_device(self) -> Layout:
+        """The same devices, each with a command of its own: those of the first command first."""
+        numbers = np.repeat(np.arange(len(self.counts)), self.counts)
+        return replace(
+            self,
+            storeys=tuple(self.storeys[i] for i in numbers),
+            counts=(1,) * len(numbers),
+            cosines=tuple(self.cosines[i] for i in numbers),
+        )
+
 
 @dataclass(frozen=True)
 class Responses:
@@ -90,6 +100,8 @@ class Responses:
         (samples, commands) of one device [N].
     curvature
         (samples, ends) at the members' ends over that at which they yield; None: not known.
+    stroke, stroke_rate
+        (samples, commands) of one device [m], [m/s]; None: the drift of its storey, and its rate, times its cosine.
     """
 
     period: float
@@ -98,6 +110,8 @@ class Responses:
     acceleration: NDArray[np.float64]
     force: NDArray[np.float64]
     curvature: NDArray[np.float64] | None = None
+    stroke: NDArray[np.float64] | None = None
+    stroke_rate: NDArray[np.float64] | None = None
 
 
 def storey_quantities(levels: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -178,8 +192,11 @@ def criteria(
     Raises
     ------
     AbraceError
-        If the responses do not fit the layout.
+        If the responses do not fit the layout, or there are none without control.
     """
+    still = [name for name, value in uncontrolled.items() if not value > 0]
+    if still:
+        raise AbraceError(f"criteria: {still[0]} without control is 0, expected a ground that moves")
     reached = peaks(found, layout)
     values = {
         name: reached[quantity] / uncontrolled[quantity]
@@ -191,13 +208,16 @@ def criteria(
 
 def _of_devices(found: Responses, layout: Layout, uncontrolled: Mapping[str, float]) -> dict[str, float]:
     storeys = np.array(layout.storeys, dtype=np.intp) - 1
-    if found.force.shape != (len(found.displacement), len(storeys)):
-        raise AbraceError(f"criteria: force of shape {found.force.shape}, expected (samples, {len(storeys)})")
+    shape = (len(found.displacement), len(storeys))
+    stroke, rate = (
+        storey_quantities(levels)[:, storeys] * layout.cosines if measured is None else measured
+        for levels, measured in ((found.displacement, found.stroke), (found.velocity, found.stroke_rate))
+    )
+    for name, values in (("force", found.force), ("stroke", stroke), ("stroke_rate", rate)):
+        if values.shape != shape:
+            raise AbraceError(f"criteria: {name} of shape {values.shape}, expected (samples, {len(storeys)})")
     if not len(storeys):
         return {}
-    stroke, rate = (
-        storey_quantities(values)[:, storeys] * layout.cosines for values in (found.displacement, found.velocity)
-    )
     power = np.abs(rate * found.force) @ np.array(layout.counts, dtype=np.float64)
     duration = (len(power) - 1) * found.period
     unit = uncontrolled["xd_max"] * layout.weight

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import pydantic
 
+from abrace.campaign.names import Name
 from abrace_core.config_file import Checked, read_config, read_mapping
 from abrace_core.errors import AbraceError
 from abrace_core.installed import find_file
+from abrace_core.suggestion import did_you_mean
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,6 +25,10 @@ DATA = "BENCHMARK_DATA"
 
 SMALLEST = "sac_la_3"
 """A benchmark that there is."""
+A_RIG = "ncree_three_storey"
+"""A rig that there is."""
+OWN_KEYS = {"cases", "frame", "rig"}
+"""Of a benchmark file; a rig file has none of them."""
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
 Count = Annotated[int, pydantic.Field(ge=0)]
@@ -124,7 +130,7 @@ class Definition(Checked):
         Its rig; None: it has none.
     """
 
-    name: str
+    name: Name
     frame: str
     sample_period: Positive
     duration: Positive
@@ -174,7 +180,7 @@ class RigDefinition(Checked):
         The runs.
     """
 
-    name: str
+    name: Name
     rig: str
     duration: Positive
     weights: list[str] = []
@@ -216,23 +222,34 @@ def check_case_names(definition: Definition | RigDefinition) -> None:
 
 
 def is_benchmark(name: str) -> bool:
-    """Whether a `name` is that of a benchmark file; False: of a rig, or of nothing.
+    """Whether a `name` is that of a benchmark file; False: of a rig.
 
     Raises
     ------
     AbraceError
-        If it is a path of no file.
+        If it is neither, or a path of no file.
     """
     if name.endswith(".yaml") or "/" in name:
-        return "cases" in read_mapping(find_file(name, "abrace", "benchmarks", ".yaml", "benchmark"), "benchmark")
-    return name in benchmark_names()
+        keys = read_mapping(find_file(name, "abrace", "benchmarks", ".yaml", "benchmark"), "benchmark")
+        return not OWN_KEYS.isdisjoint(keys)
+    benchmarks = benchmark_names()
+    rigs = _stems(find_file(A_RIG, "abrace_plant", "config", ".yaml", "rig"))
+    if name not in (*benchmarks, *rigs):
+        raise AbraceError(
+            f"benchmark {name!r}: unknown, expected a file ending in .yaml, a benchmark ({', '.join(benchmarks)}) or a "
+            f"rig ({', '.join(rigs)}){did_you_mean(name, [*benchmarks, *rigs])}"
+        )
+    return name in benchmarks
 
 
 def benchmark_names() -> list[str]:
     """Names of the benchmarks that abrace has."""
-    return [
-        path.stem for path in find_file(SMALLEST, "abrace", "benchmarks", ".yaml", "benchmark").parent.glob("*.yaml")
-    ]
+    return _stems(find_file(SMALLEST, "abrace", "benchmarks", ".yaml", "benchmark"))
+
+
+def _stems(file: Path) -> list[str]:
+    """Names of the YAML files in the folder of a `file`."""
+    return sorted(path.stem for path in file.parent.glob("*.yaml"))
 
 
 def load_definition(name: str) -> Definition | RigDefinition:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from abrace.benchmark.criteria import OF_RESPONSE
 from abrace_core.drawing import ERROR, MEASURED, REFERENCE, SIMULATED, captioned, legend_above
@@ -17,6 +16,8 @@ if TYPE_CHECKING:
 
     from abrace.benchmark.comparison import Evaluation, Profile
 
+MOST_TICKS = 12
+"""Of levels."""
 COLOURS = (MEASURED, SIMULATED, ERROR, "#4b8b6f", "#7a5195", "#2a9d8f")
 """Of controllers, the one that was given first."""
 
@@ -63,7 +64,7 @@ def profile_figure(title: str, case: str, uncontrolled: Profile, evaluations: Se
     axes[0].set_xlabel("greatest drift (% of the storey's height)")
     axes[1].set_xlabel("greatest acceleration (m/s²)")
     axes[0].set_ylabel("storey, floor")
-    axes[0].yaxis.set_major_locator(MaxNLocator(integer=True))
+    axes[0].set_yticks(levels[:: 1 + len(levels) // MOST_TICKS])
     for axis in axes:
         axis.set_xlim(left=0)
         axis.grid(alpha=0.3)

@@ -13,6 +13,7 @@ from abrace.benchmark.definition import record_path
 from abrace.benchmark.export import write_ground
 from abrace.benchmark.frame_benchmark import FrameBenchmark
 from abrace.benchmark.recorded import of_tests
+from abrace.processes.group import find_executable
 from abrace.report.recorded import recorded_tests
 from abrace_bags import read_run
 from abrace_core.controller_file import load_controller
@@ -59,10 +60,15 @@ def run_live(
     from abrace.campaign.course import run_campaign  # imports ROS
 
     definition = benchmark.definition
+    if isinstance(benchmark, FrameBenchmark) and benchmark.definition.live is None:
+        raise AbraceError(
+            f"--controller {controller}: a node, expected a benchmark of a rig, or of a frame with `live`"
+        )
+    _check_node(controller)
     name = f"benchmark_{definition.name}"
     known: Sequence[Any] = definition.cases if cases is None else cases
     if isinstance(benchmark, FrameBenchmark):
-        motions, rig, more = _of_frame(benchmark, known, controller, folder)
+        motions, rig, more = _of_frame(benchmark, known, folder)
     else:
         motions = [
             {"record": _resolved(record_path(case.record)), "peak_acceleration": case.peak_acceleration}
@@ -93,15 +99,25 @@ def run_live(
     }
 
 
+def _check_node(controller: str) -> None:
+    """Refuse a node that there is not, before anything is written; a controller file has been read."""
+    if not is_node(controller):
+        return
+    try:
+        if not controller.endswith(".py"):
+            find_executable(*controller.split("/"))
+        elif not Path(controller).is_file():
+            raise AbraceError("no such file")
+    except AbraceError as error:
+        raise AbraceError(f"--controller {controller}: {error}") from error
+
+
 def _of_frame(
-    benchmark: FrameBenchmark, cases: Sequence[Any], controller: str, folder: Path
+    benchmark: FrameBenchmark, cases: Sequence[Any], folder: Path
 ) -> tuple[list[dict[str, Any]], str, dict[str, Any]]:
     """Ground motions, the rig, and the commands' rate limit, which is that of its devices."""
     live = benchmark.definition.live
-    if live is None:
-        raise AbraceError(
-            f"--controller {controller}: a node, expected a benchmark of a rig, or of a frame with `live`"
-        )
+    assert live is not None
     motions: list[dict[str, Any]] = []
     for i, case in enumerate(cases, 1):
         path = folder / f"ground_{i}.csv"

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded tests of a benchmark's rig: what its sensors measured, noise included.
 
-Velocities come from displacements, and so do the curvatures of a frame, whose nodes follow its levels statically.
+Velocities come from displacements, rates from strokes, and the curvatures of a frame from its levels' displacements,
+which its nodes follow statically.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ TOLERANCES = {
 
 
 def recorded(benchmark: AnyBenchmark, run: Run) -> Responses:
-    """What a recorded test of the benchmark's rig, a `run`, gave.
+    """What a recorded test of the benchmark's rig, a `run`, gave: forces and strokes of each device.
 
     Raises
     ------
@@ -46,18 +47,27 @@ def recorded(benchmark: AnyBenchmark, run: Run) -> Responses:
             f"{run.source}: {run.floors} floors and {run.groups} brace groups, expected those of "
             f"{benchmark.definition.name}: {floors} and {groups}"
         )
+    if run.braces and run.braces != benchmark.layout.counts:
+        raise AbraceError(
+            f"{run.source}: braces in its groups {', '.join(map(str, run.braces))}, expected those of "
+            f"{benchmark.definition.name}: {', '.join(map(str, benchmark.layout.counts))}"
+        )
     if np.any(np.diff(run.sequence.astype(np.int64)) != 1):
         raise AbraceError(f"{run.source}: samples are missing, expected a whole test")
     x = run.outputs[:, :floors]
     span = 2 * round(VELOCITY_SPAN / run.sample_period / 2) + 1
     if len(x) < span:
         raise AbraceError(f"{run.source}: {len(x)} samples, expected {span} or more")
-    velocity = savgol_filter(x, span, 3, deriv=1, delta=run.sample_period, axis=0)
+    stroke = np.repeat(run.outputs[:, floors : floors + groups], benchmark.layout.counts, axis=1)
+    velocity, stroke_rate = (
+        savgol_filter(measured, span, 3, deriv=1, delta=run.sample_period, axis=0) for measured in (x, stroke)
+    )
     first = floors + groups
-    acceleration, force = run.outputs[:, first : first + floors], run.outputs[:, first + floors :]
+    acceleration, mean_force = run.outputs[:, first : first + floors], run.outputs[:, first + floors :]
+    force = np.repeat(mean_force, benchmark.layout.counts, axis=1) if run.forces is None else run.forces
     curvature = x @ benchmark.static_curvature.T if isinstance(benchmark, FrameBenchmark) else np.zeros((len(x), 0))
     known = curvature if curvature.shape[1] else None
-    return Responses(run.sample_period, x, velocity, acceleration, force, known)
+    return Responses(run.sample_period, x, velocity, acceleration, force, known, stroke, stroke_rate)
 
 
 def recorded_case(benchmark: AnyBenchmark, run: Run, name: str) -> RecordedCase:
@@ -98,7 +108,8 @@ def of_tests(
                 f"expected tests with the same motion of the table, within {100 * tolerance:g} %"
             )
     sensors, states = (len(law.inputs), law.order) if law else (0, 0)
-    return criteria(found, benchmark.layout, peaks(free, benchmark.layout), sensors, states), found
+    layout = benchmark.layout.of_each_device()
+    return criteria(found, layout, peaks(free, layout), sensors, states), found
 
 
 def _motion(run: Run) -> tuple[float, ...]:

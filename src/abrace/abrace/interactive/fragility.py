@@ -143,6 +143,8 @@ def ground_motions(
     period
         Of the samples [s].
     """
+    if not np.isfinite(noise_duration):
+        raise AbraceError(f"noise of {noise_duration:g} s: expected a finite duration")
     count = round(noise_duration / period)
     made = [(f"noise {seed}", banded_noise(count, 1 / period, NOISE_BAND, 1.0, seed)) for seed in noise]
     return [_recorded(each, period) for each in records] + made

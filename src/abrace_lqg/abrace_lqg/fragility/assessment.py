@@ -98,7 +98,8 @@ class Fragility:
             limit = f"{row['quantity']} above {row['limit']:g} {unit(row['quantity'])}"
             if np.isfinite(row["median"]):
                 end = "or more" if np.isinf(row["high"]) else f"to {row['high']:.3g}"
-                found = f"median {row['median']:.3g} m/s^2 ({row['low']:.3g} {end})"
+                interval = f"{row['low']:.3g} {end}" if np.isfinite(row["low"]) else "one ground motion: no interval"
+                found = f"median {row['median']:.3g} m/s^2 ({interval})"
                 lines.append(f"{name}: {limit}: {found}, dispersion {row['dispersion']:.2f}")
             else:
                 share = row["exceeded"] / row["loops"]
@@ -138,7 +139,7 @@ def run_study(
     plant = study.plant(0)
     known = (*plant.outputs, *plant.inputs[1:])
     unknown = [name for name in limits if name not in known]
-    if unknown or not limits or not min(limits.values()) > 0:
+    if unknown or not limits or not all(0 < value < np.inf for value in limits.values()):
         raise AbraceError(
             f"limits {', '.join(f'{name}={value:g}' for name, value in limits.items()) or 'none'}: expected a value "
             f"above 0 for some of {', '.join(known)}"

@@ -134,8 +134,10 @@ class FragilityStudy:
     implausibility: LinearModel | None = None
 
     def __post_init__(self) -> None:
-        if not self.models or not self.motion_names:
-            raise AbraceError("fragility: no models or no ground motions, expected at least one of each")
+        if not self.models:
+            raise AbraceError("fragility: no models, expected one at least")
+        if not self.motion_names:
+            raise AbraceError("fragility: no ground motions, expected a record or a noise at least")
         rising = all(low < high for low, high in pairwise((0.0, *self.intensities)))
         if not self.intensities or not rising or not np.isfinite(self.intensities[-1]):
             raise AbraceError(f"fragility: intensities {list(self.intensities)}, expected numbers above 0 that rise")
@@ -272,21 +274,36 @@ def named_numbers(what: str, texts: Sequence[str]) -> dict[str, list[float]]:
     Raises
     ------
     AbraceError
-        If a text is not NAME=NUMBER.
+        If a text is not NAME=NUMBER, or the number not finite.
     """
     found: dict[str, list[float]] = {}
     for text in texts:
         name, _, value = text.partition("=")
         try:
-            found.setdefault(name, []).append(float(value))
-        except ValueError as error:
-            raise AbraceError(f"{what} {text}: expected NAME=NUMBER, such as a1=0") from error
+            number = float(value)
+        except ValueError:
+            number = np.nan
+        if not np.isfinite(number):
+            raise AbraceError(f"{what} {text}: expected NAME=NUMBER, such as a1=0")
+        found.setdefault(name, []).append(number)
     return found
 
 
 def faults_of(given: Mapping[str, float | Sequence[float]]) -> tuple[Fault, ...]:
-    """The faults that were `given`: factors by sensor."""
-    return tuple(Fault(name, float(factor)) for name, factors in given.items() for factor in np.atleast_1d(factors))
+    """The faults that were `given`: factors by sensor.
+
+    Raises
+    ------
+    AbraceError
+        If a factor is not finite, or given twice.
+    """
+    faults = tuple(Fault(name, float(factor)) for name, factors in given.items() for factor in np.atleast_1d(factors))
+    for number, fault in enumerate(faults):
+        if not np.isfinite(fault.factor):
+            raise AbraceError(f"fault {fault.name}: expected a finite factor, reading over truth")
+        if fault in faults[:number]:
+            raise AbraceError(f"fault {fault.name}: given twice, expected each once")
+    return faults
 
 
 def unit(name: str) -> str:
