@@ -5,15 +5,14 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from abrace.interactive.given import controller_of, model_of, rig_of, warn
-from abrace.interactive.identification import Identified
+from abrace.interactive.models import covariance_of
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel, load_covariance
+from abrace_core.linear_model import LinearModel
 from abrace_core.loop_extremes import Motions
 from abrace_core.noise import banded_noise
 from abrace_core.signals import meaning, response_names
@@ -27,6 +26,7 @@ from abrace_plant.rig.limits import limit_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -158,16 +158,6 @@ def _unit(name: str, ground: NDArray[np.float64]) -> NDArray[np.float64]:
     if not peak > 0:
         raise AbraceError(f"record {name}: the ground does not move, expected an earthquake")
     return np.asarray(ground / peak)
-
-
-def covariance_of(given: AnyModel) -> NDArray[np.float64] | None:
-    """Of the parameters of the model that was `given`; None: not known."""
-    if isinstance(given, Identified):
-        return given.found.covariance
-    if isinstance(given, (str, Path)):
-        path = Path(given) / "model.json" if Path(given).is_dir() else Path(given)
-        return load_covariance(path) if path.suffix == ".json" else None
-    return None
 
 
 class Acting(NamedTuple):
