@@ -194,6 +194,14 @@ def test_frames_are_identified(notebook):
 SHORT = {"record": "el_centro", "peak_acceleration": 0.98, "duration": 1.0}
 
 
+def designed(**options):
+    return abrace.design(RIG, "lqg3", rig=RIG, **options)
+
+
+def assessed(**options):
+    return abrace.fragility(RIG, **{"limits": {"x3": 0.05}, "intensities": [1.0], "noise": 1, **options})
+
+
 class Push:
     def begin(self, floors, groups, sample_period): ...
 
@@ -224,6 +232,16 @@ class Push:
         (lambda: abrace.validate(abrace.simulate(RIG, **SHORT), 3), "model 3: expected a model, a file (.json)"),
         (lambda: abrace.validate(None, RIG), "test None: expected a Run, or the folder of its bag"),
         (lambda: abrace.validate([], RIG), "no test given, expected at least one"),
+        (lambda: designed(limits={"gain": 1.0}), "design: limits: gain: unknown key"),
+        (
+            lambda: designed(limits={"gain_margin": np.nan}),
+            "design: limits: gain_margin: nan, expected a finite number",
+        ),
+        (lambda: designed(accept="small_gain_margins"), "accept 'small_gain_margins': expected one of damping_lost, "),
+        (lambda: designed(force_limit="24 kN"), "design: force_limit '24 kN', expected a number"),
+        (lambda: assessed(limits={"x3": "5 cm"}), "limits x3='5 cm': expected a value above 0 for some of x1"),
+        (lambda: assessed(noise=["a"]), "noise 'a': expected seeds, whole numbers from 0 on"),
+        (lambda: assessed(noise_duration=np.nan), "noise_duration nan: expected seconds above 0"),
         (lambda: abrace.discretize(RIG, 0.0), "discretize: sample_period 0.0, expected more than 0 s"),
         (lambda: abrace.discretize(RIG, 0.002, {"w": "frist"}), "discretize: hold 'frist', expected zero or first"),
         (lambda: abrace.simulate(RIG, **SHORT, seed=-1), "simulate: seed -1, expected a whole number from 0 on"),
@@ -245,6 +263,17 @@ def test_what_is_wrong_is_told_in_one_line(call, message):
         call()
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_one_name_needs_no_list():
+    run = abrace.simulate(RIG, **SHORT)
+    np.testing.assert_array_equal(run.channels("x3"), run.channels(["x3"]))
+    assert run.channels([]).shape == (500, 0)
+    assert len(run.plot("a3").axes) == 1
+    assert abrace.load_rig(RIG).model.select("x3", "w").outputs == ("x3",)
+    data = abrace.identify_data
+    with pytest.raises(abrace.AbraceError, match="no column 'w9', it has"):
+        data({"w": np.ones(9), "x3": np.ones(9)}, "w9", "x3", sample_rate=100.0)
 
 
 def test_a_test_that_is_played_again_and_a_command_are_treated_as_asked():

@@ -76,10 +76,14 @@ def model_of(given: Any, design: bool = False) -> LinearModel:
     return found
 
 
+def several(given: Any) -> tuple[Any, ...]:
+    """What was `given`, one or several: a single name, file or object is one."""
+    return (given,) if isinstance(given, (str, Path)) or not isinstance(given, Iterable) else tuple(given)
+
+
 def runs_of(given: AnyRun | Sequence[AnyRun]) -> list[Run]:
     """The tests that were `given`, one or several; a bag may hold several."""
-    several = isinstance(given, Iterable) and not isinstance(given, (Run, str))
-    each = list(given) if several else [given]
+    each = several(given)
     if not each:
         raise AbraceError("no test given, expected at least one")
     for one in each:
