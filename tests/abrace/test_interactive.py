@@ -191,6 +191,7 @@ def test_frames_are_identified(notebook):
         abrace.identify_data(frame, ["ground"], ["x1", "x9"], sample_rate=500.0)
 
 
+RUN = "bags/table_noise"
 SHORT = {"record": "el_centro", "peak_acceleration": 0.98, "duration": 1.0}
 
 
@@ -232,6 +233,11 @@ class Push:
         (lambda: abrace.validate(abrace.simulate(RIG, **SHORT), 3), "model 3: expected a model, a file (.json)"),
         (lambda: abrace.validate(None, RIG), "test None: expected a Run, or the folder of its bag"),
         (lambda: abrace.validate([], RIG), "no test given, expected at least one"),
+        (
+            lambda: abrace.identify_data({"w": [1.0] * 9, "x": [1.0] * 9}, "w", sample_rate=9.0, band=5.0),
+            "band 5.0: exp",
+        ),
+        (lambda: abrace.identify(RUN, RUN, table_band=(0.1, None)), "band (0.1, None): expected two frequencies in Hz"),
         (lambda: designed(limits={"gain": 1.0}), "design: limits: gain: unknown key"),
         (
             lambda: designed(limits={"gain_margin": np.nan}),

@@ -194,6 +194,11 @@ MISTAKES = {
     "a file of MATLAB 7.3": ({"path": "new.mat"}, "version 7.3 (HDF5), expected one saved with save -v7"),
     "objects": ({"path": "objects.npz"}, "objects.npz: cannot be read as .npz (Object arrays cannot be loaded"),
     "an array without names": ({"path": np.zeros((50, 3))}, "data ndarray, expected a file, a DataFrame, or arrays"),
+    "a rate that is a text": (
+        {"time": "", "sample_rate": "100"},
+        "data.npz: sample_rate '100', expected a number in Hz",
+    ),
+    "a hold of another name": ({"hold": "zoh"}, "data.npz: hold 'zoh', expected band or zero"),
     "no data": ({"path": None}, "data NoneType, expected a file"),
     "words for numbers": ({"path": {"t": [0.0, 0.1], "u": ["a", "b"], "y": [1.0, 2.0]}}, "no column 'u', it has t, y"),
     "a text for a number": ({"path": "bad.csv"}, "expected a line of names, then numbers"),

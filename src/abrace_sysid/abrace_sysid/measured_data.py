@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -71,6 +72,8 @@ class MeasuredData:
         if twice:
             names = ", ".join(dict.fromkeys(twice))
             raise AbraceError(f"{self.source}: named twice: {names}; expected each column once")
+        if self.hold not in get_args(DataHold):
+            raise AbraceError(f"{self.source}: hold {self.hold!r}, expected {' or '.join(get_args(DataHold))}")
         unknown = [name for name in self.units if name not in named]
         if unknown:
             raise AbraceError(f"{self.source}: units of {', '.join(unknown)}, expected of some of {', '.join(named)}")
@@ -145,6 +148,8 @@ def read_data(
         path = "data"
     else:
         raise AbraceError(f"data {type(path).__name__}, expected a file, a DataFrame, or arrays by name")
+    if not isinstance(sample_rate, Real):
+        raise AbraceError(f"{path}: sample_rate {sample_rate!r}, expected a number in Hz")
     if (sample_rate > 0) == bool(time):
         raise AbraceError(f"{path}: sample_rate {sample_rate:g} Hz and time {time!r}, expected just one of the two")
     named = {signals.meaning(name) for name in (*inputs, time)}

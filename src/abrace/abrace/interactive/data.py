@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace.interactive.given import runs_of, several, warn
+from abrace.interactive.given import band_of, runs_of, several, warn
 from abrace.interactive.identification import pole_intervals
 from abrace_core.errors import AbraceError
 from abrace_core.one_thread import one_thread
@@ -117,7 +117,7 @@ def identify_data(
     """
     columns = several(inputs), several(outputs)
     given = data if isinstance(data, MeasuredData) else read_data(data, *columns, sample_rate, time, units, hold)
-    found = data_identification.identify_data(given, DataOptions(band=band))
+    found = data_identification.identify_data(given, DataOptions(band=None if band is None else band_of(band)))
     warn(found.warnings)
     return IdentifiedData(found)
 
@@ -173,6 +173,6 @@ def identify_ambient(
     AbraceError
         If there is a command, or the tests are too short.
     """
-    found, warnings = ambient_test(runs_of(tests), several(channels), band, highest_order)
+    found, warnings = ambient_test(runs_of(tests), several(channels), band_of(band), highest_order)
     warn(warnings)
     return IdentifiedModes(found)

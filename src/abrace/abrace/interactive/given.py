@@ -81,6 +81,15 @@ def several(given: Any) -> tuple[Any, ...]:
     return (given,) if isinstance(given, (str, Path)) or not isinstance(given, Iterable) else tuple(given)
 
 
+def band_of(given: Any) -> tuple[float, float]:
+    """The band that was `given` [Hz], two numbers."""
+    try:
+        low, high = (float(each) for each in given)
+    except (TypeError, ValueError) as error:
+        raise AbraceError(f"band {given!r:.60}: expected two frequencies in Hz") from error
+    return low, high
+
+
 def runs_of(given: AnyRun | Sequence[AnyRun]) -> list[Run]:
     """The tests that were `given`, one or several; a bag may hold several."""
     each = several(given)
