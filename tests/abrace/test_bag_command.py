@@ -77,6 +77,16 @@ def test_a_reader_who_has_had_enough_is_no_error(bag: Path) -> None:
         assert said in ran.stdout
 
 
+def test_a_terminal_without_a_letter_shows_another(bag: Path, tmp_path: Path) -> None:
+    named = bag.rename(tmp_path / "Stäbe")
+    program = "import sys; from abrace.cli import main; sys.exit(main())"
+    command = [sys.executable, "-c", program, "bag", "info", str(named)]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    ran = subprocess.run(command, capture_output=True, check=False, env=environment)
+    assert (ran.returncode, ran.stderr) == (0, b"")
+    assert b"St?be: 1 file" in ran.stdout
+
+
 @pytest.mark.parametrize(
     ("action", "topics", "begin"),
     [("csv", ["force"], b"log_time"), ("mat", [], b"MATLAB 5.0"), ("plot", ["/force"], b"\x89PNG")],
@@ -121,6 +131,7 @@ def test_topic_whose_name_has_no_slash_is_found(tmp_path: Path) -> None:
         (["mat", "{bag}", "--output", "{bag}/bag_0.mcap/x"], "cannot write"),
         (["csv", "{bag}", "force", "--output", "/"], "cannot write /"),
         (["mat", "{bag}", "--output", ""], "cannot write ."),
+        (["csv", "{bag}", "force", "--start-offset", "900", "--output", "x"], "no message from 900 s to the end"),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(

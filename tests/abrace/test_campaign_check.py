@@ -190,6 +190,22 @@ def test_rigs_of_one_campaign_have_one_sample_rate(tmp_path: Path) -> None:
     assert found == ["rig: sample rates of 500 and 400 Hz, expected one for all tests"]
 
 
+def test_folders_that_cannot_be_written_are_told_before_the_first_test(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    step = f"{{name: a, test: {{duration: 9.0, ground_motion: {EL_CENTRO}}}}}"
+    Path("results").write_text("")
+    assert problems(tmp_path, step) == [f"results in {tmp_path} is a file, expected a folder or nothing"]
+    Path("results").unlink()
+    monkeypatch.setattr("os.access", lambda path, _: path != Path())  # as on a disk that is mounted to be read
+    _, *found = problems(tmp_path, step)
+    assert found == [
+        f"{folder} in {tmp_path} cannot be written, expected a folder where you may write"
+        for folder in ("results", "bags")
+    ]
+
+
 def test_check_says_what_is_done_how_long_it_takes_and_what_is_written_and_moves_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -122,7 +122,7 @@ def test_interlocks_of_the_rig_act_in_an_exploration(monkeypatch):
         (["--limit", "d1=0.01", "d1=0.02"], "--limit: 2 of d1, expected one of each quantity"),
         (["--fault", "a1=nan"], "--fault a1=nan: expected NAME=NUMBER"),
         (["--fault", "a1=0", "a1=0"], "fault a1=0: given twice, expected each once"),
-        (["--noise-duration", "nan"], "noise of nan s: expected a finite duration"),
+        (["--noise-duration", "nan"], "noise_duration nan: expected seconds above 0"),
         (["--workers", "0"], "--workers: 0, expected 1 or more"),
         (["--intensity", "2", "1"], "intensities [2.0, 1.0], expected numbers above 0 that rise"),
         (["--models", "5"], "models 5: ncree_three_storey has no covariance to draw models from"),

@@ -17,6 +17,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import abrace
+from abrace_core.linear_model import load_covariance
 
 ROOT = Path(__file__).parents[2]
 RIG = "ncree_three_storey"
@@ -32,6 +33,7 @@ class NoRos:
 
 sys.meta_path.insert(0, NoRos())
 import abrace
+from abrace_core.linear_model import load_covariance
 from bag_of_run import write_bag
 
 write_bag(abrace.simulate("ncree_three_storey", "white_noise", duration=64.0), "bags/table_noise")
@@ -155,6 +157,15 @@ def test_a_folder_of_results_is_designed_with_as_the_identification_is(notebook,
             abrace.design(given, "lqg3")
 
 
+def test_a_model_to_be_sampled_or_written_can_be_what_has_it_or_a_name(notebook, tmp_path):
+    found = notebook["found"]
+    assert abrace.discretize(found, 0.002).order == abrace.discretize(found.model, 0.002).order
+    assert abrace.discretize(RIG, 0.002).sample_period == 0.002
+    abrace.save_model(found, tmp_path / "model.json")
+    assert load_covariance(tmp_path / "model.json").shape == found.found.covariance.shape
+    np.testing.assert_array_equal(abrace.load_model(tmp_path / "model.json").a, found.model.a)
+
+
 def test_models_of_python_control_are_taken(notebook):
     found, quake = notebook["found"], notebook["controlled"]
     model = abrace.load_rig(RIG).model.to_control()
@@ -180,7 +191,23 @@ def test_frames_are_identified(notebook):
         abrace.identify_data(frame, ["ground"], ["x1", "x9"], sample_rate=500.0)
 
 
+RUN = "bags/table_noise"
 SHORT = {"record": "el_centro", "peak_acceleration": 0.98, "duration": 1.0}
+
+
+def designed(**options):
+    return abrace.design(RIG, "lqg3", rig=RIG, **options)
+
+
+def assessed(**options):
+    return abrace.fragility(RIG, **{"limits": {"x3": 0.05}, "intensities": [1.0], "noise": 1, **options})
+
+
+class Push:
+    def begin(self, floors, groups, sample_period): ...
+
+    def force(self, sample):
+        return 1000.0 + sample.lost
 
 
 @pytest.mark.parametrize(
@@ -204,6 +231,37 @@ SHORT = {"record": "el_centro", "peak_acceleration": 0.98, "duration": 1.0}
         ),
         (lambda: abrace.validate("nowhere", RIG), "nowhere: "),
         (lambda: abrace.validate(abrace.simulate(RIG, **SHORT), 3), "model 3: expected a model, a file (.json)"),
+        (lambda: abrace.validate(None, RIG), "test None: expected a Run, or the folder of its bag"),
+        (lambda: abrace.validate([], RIG), "no test given, expected at least one"),
+        (
+            lambda: abrace.identify_data({"w": [1.0] * 9, "x": [1.0] * 9}, "w", sample_rate=9.0, band=5.0),
+            "band 5.0: exp",
+        ),
+        (lambda: abrace.identify(RUN, RUN, table_band=(0.1, None)), "band (0.1, None): expected two frequencies in Hz"),
+        (lambda: designed(limits={"gain": 1.0}), "design: limits: gain: unknown key"),
+        (
+            lambda: designed(limits={"gain_margin": np.nan}),
+            "design: limits: gain_margin: nan, expected a finite number",
+        ),
+        (lambda: designed(accept="small_gain_margins"), "accept 'small_gain_margins': expected one of damping_lost, "),
+        (lambda: designed(force_limit="24 kN"), "design: force_limit '24 kN', expected a number"),
+        (lambda: assessed(limits={"x3": "5 cm"}), "limits x3='5 cm': expected a value above 0 for some of x1"),
+        (lambda: assessed(noise=["a"]), "noise 'a': expected seeds, whole numbers from 0 on"),
+        (lambda: assessed(noise_duration=np.nan), "noise_duration nan: expected seconds above 0"),
+        (lambda: abrace.discretize(RIG, 0.0), "discretize: sample_period 0.0, expected more than 0 s"),
+        (lambda: abrace.discretize(RIG, 0.002, {"w": "frist"}), "discretize: hold 'frist', expected zero or first"),
+        (lambda: abrace.simulate(RIG, **SHORT, seed=-1), "simulate: seed -1, expected a whole number from 0 on"),
+        (lambda: abrace.simulate(RIG, **SHORT, sample_period=0.01), "sample_period 0.01, expected 0.002 s"),
+        (lambda: abrace.simulate(RIG, "white_noise", duration=9.0, low_cut=0.5), "a treatment of 'white_noise'"),
+        (lambda: abrace.simulate(RIG, "white_noise", duration=np.nan), "duration nan: expected 0 or more"),
+        (lambda: abrace.simulate(RIG, ["a", "b"]), "simulate: record ['a', 'b']: expected numbers"),
+        (lambda: abrace.simulate(RIG, np.zeros((9, 2))), "of shape (9, 2), expected (samples,)"),
+        (lambda: abrace.simulate(RIG, command=[np.inf]), "a command that is not finite, expected forces in N"),
+        (lambda: abrace.simulate(RIG, **SHORT, controller=Push), "controller Push is a class, expected Push(...)"),
+        (
+            lambda: abrace.simulate(RIG, **SHORT, controller=3),
+            "controller 3: expected a controller, its file, a design",
+        ),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line(call, message):
@@ -211,6 +269,28 @@ def test_what_is_wrong_is_told_in_one_line(call, message):
         call()
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_one_name_needs_no_list():
+    run = abrace.simulate(RIG, **SHORT)
+    np.testing.assert_array_equal(run.channels("x3"), run.channels(["x3"]))
+    assert run.channels([]).shape == (500, 0)
+    assert len(run.plot("a3").axes) == 1
+    assert abrace.load_rig(RIG).model.select("x3", "w").outputs == ("x3",)
+    data = abrace.identify_data
+    with pytest.raises(abrace.AbraceError, match="no column 'w9', it has"):
+        data({"w": np.ones(9), "x3": np.ones(9)}, "w9", "x3", sample_rate=100.0)
+
+
+def test_a_test_that_is_played_again_and_a_command_are_treated_as_asked():
+    first = abrace.simulate(RIG, "el_centro", peak_acceleration=0.98, duration=3.0)
+    again = abrace.simulate(RIG, first)
+    # the table plays the sample that it is told one sample later
+    assert np.corrcoef(first.ground_acceleration[:-1], again.ground_acceleration[1:])[0, 1] > 0.999
+    halved = abrace.simulate(RIG, first, peak_acceleration=0.3, duration=2.9, low_cut=0.3)
+    assert len(halved.sequence) == 1450
+    assert 0.25 < np.abs(halved.ground_acceleration).max() < 0.31
+    assert len(abrace.simulate(RIG, command=np.full(900, 100.0), duration=1.0).sequence) == 500
 
 
 def test_a_rig_that_was_stopped_is_a_warning():

@@ -82,6 +82,8 @@ def test_a_parameter_that_ros_cannot_have_is_named(default):
         (lambda _: 1 / 0, "Law.force: ZeroDivisionError: division by zero"),
         (lambda _: None, "Law.force: returned None, expected a number for each of 1 brace groups"),
         (lambda _: "push", "Law.force: returned 'push', expected a number"),
+        (lambda _: 10**400, "Law.force: returned 10+, expected a number"),
+        (lambda _: exec("raise ValueError('two\\nlines')"), "Law.force: ValueError: two lines"),
         (lambda _: [1.0, 2.0], r"Law.force: returned \[1.0, 2.0\], expected a number"),
     ],
 )

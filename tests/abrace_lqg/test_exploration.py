@@ -118,6 +118,7 @@ def test_the_first_sets_are_the_same_however_many_there_are_and_others_with_anot
     [
         ({"stroke": (-1.0, 1.0)}, "span of stroke: the weight is given as 0"),
         ({"displacement": (1.0, -1.0)}, "lower power of ten first"),
+        ({"displacements": (-1.0, 1.0)}, "no such weight, expected one of .*, did you mean displacement?"),
         ({"displacement": (0.0, 0.0)}, "all are from 0 to 0"),
     ],
 )

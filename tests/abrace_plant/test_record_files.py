@@ -82,6 +82,8 @@ def written(folder, name, content):
         ),
         ("a.at2", AT2, {"channel": "1"}, "channel '1' was given, expected none"),
         ("a.txt", "1\n2\n", {"channel": "1"}, "channel '1' was given, expected none"),
+        ("a.txt", "1\n2\n", {"channel": 1}, "channel '1' was given, expected none"),
+        ("a.txt", "1\n2\n", {"unit": "g", "sample_period": "0.01"}, "sample_period '0.01' s: expected more than 0"),
         ("a.ns", KNET, {"channel": "N-S"}, "channel 'N-S' was given, expected none"),
         ("el_centro", "", {"channel": "1"}, "channel '1' was given, expected none"),
         ("a.txt", "1e308\n2\n", {"unit": "g", "sample_period": 0.01}, "a value that overflows in m/s"),

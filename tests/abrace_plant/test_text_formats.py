@@ -79,6 +79,11 @@ def test_csv_takes_units_from_its_header(tmp_path, header, factor):
     np.testing.assert_allclose(record.acceleration, np.array(VALUES) * factor, rtol=1e-15)
 
 
+def test_csv_of_windows_has_its_units(tmp_path):
+    path = written(tmp_path, "quake.csv", "# Prüfstand\ntime [s],acc [m/s²]\n0,0.5\n1,-0.5\n".encode("latin-1"))
+    assert read_record(path).acceleration.tolist() == [0.5, -0.5]
+
+
 def test_csv_without_times_or_unit_takes_them_from_the_caller(tmp_path):
     path = written(tmp_path, "quake.csv", "\ufeffacceleration\n0.5\n-0.5\n".encode())
     record = read_record(path, unit="m/s^2", sample_period=0.01)
@@ -107,6 +112,7 @@ def test_csv_without_times_or_unit_takes_them_from_the_caller(tmp_path):
         ("a.txt", "", "empty"),
         ("a.txt", "# nothing\n\n", "empty"),
         ("a.txt", "0.1\n0.2\nabc\n", "line 3: 'abc', expected a finite number"),
+        ("a.txt", "0,00 0,1\n0,01 0,2\n", "line 1: '0,00', expected a finite number with a decimal point"),
         ("a.txt", "0.1\n1_0\n", "line 2: '1_0', expected a finite number"),
         ("a.txt", "0.1\n0.2 0.3\n", "line 2: 2 columns, expected 1 as before"),
         ("a.txt", "0 1 2\n", "line 1: 3 columns, expected one .* or two"),

@@ -190,6 +190,17 @@ MISTAKES = {
     "no file": ({"path": "none.mat"}, "none.mat: No such file"),
     "another ending": ({"path": "data.xls"}, "expected a file with the ending .mat, .csv, .npz, .npy"),
     "a damaged file": ({"path": "bad.mat"}, "bad.mat: cannot be read as .mat"),
+    "a damaged file that ends SciPy's process": ({"path": "crash.mat"}, "version 4 to 7.2 (damaged)"),
+    "a file of MATLAB 7.3": ({"path": "new.mat"}, "version 7.3 (HDF5), expected one saved with save -v7"),
+    "objects": ({"path": "objects.npz"}, "objects.npz: cannot be read as .npz (Object arrays cannot be loaded"),
+    "an array without names": ({"path": np.zeros((50, 3))}, "data ndarray, expected a file, a DataFrame, or arrays"),
+    "a rate that is a text": (
+        {"time": "", "sample_rate": "100"},
+        "data.npz: sample_rate '100', expected a number in Hz",
+    ),
+    "a hold of another name": ({"hold": "zoh"}, "data.npz: hold 'zoh', expected band or zero"),
+    "no data": ({"path": None}, "data NoneType, expected a file"),
+    "words for numbers": ({"path": {"t": [0.0, 0.1], "u": ["a", "b"], "y": [1.0, 2.0]}}, "no column 'u', it has t, y"),
     "a text for a number": ({"path": "bad.csv"}, "expected a line of names, then numbers"),
     "no such column": ({"inputs": ["force"], "time": "seconds"}, "no column 'force', 'seconds', it has t, u, y, short"),
     "columns that differ in length": ({"outputs": ["short"]}, "short has 9 samples and u 50, expected the same"),
@@ -208,6 +219,12 @@ def test_files_that_cannot_be_used_are_refused_with_one_line(mistake, tmp_path, 
     np.savez("data.npz", **content, short=np.zeros(9))
     Path("bad.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
     Path("bad.csv").write_text("t,u,y\n1,2,three\n")
+    io.savemat("crash.mat", {"t": np.arange(4.0), "q": {"a": np.arange(3.0)}})
+    crash = bytearray(Path("crash.mat").read_bytes())
+    crash[144] = 5  # the class of the array
+    Path("crash.mat").write_bytes(crash)
+    Path("new.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n")
+    np.savez("objects.npz", **content, facts=np.array({"by": "me"}, dtype=object))
     changed, message = MISTAKES[mistake]
     arguments = {"path": "data.npz", "inputs": ["u"], "outputs": ["y"], "time": "t"} | changed
     with pytest.raises(AbraceError) as error:

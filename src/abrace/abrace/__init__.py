@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from abrace.interactive.fragility import fragility
     from abrace.interactive.identification import identify
     from abrace.interactive.laboratory import characterize, load_record, load_rig, read_run
+    from abrace.interactive.models import discretize, save_model
     from abrace.interactive.simulation import simulate
     from abrace.interactive.validation import validate
     from abrace_bags import read_runs
     from abrace_core.controller_file import Controller, load_controller
-    from abrace_core.discretization import discretize
     from abrace_core.errors import AbraceError
-    from abrace_core.linear_model import LinearModel, load_model, save_model
+    from abrace_core.linear_model import LinearModel, load_model
     from abrace_core.run import Run
     from abrace_plant.records.record import Record
     from abrace_plant.rig.model import Rig
@@ -42,13 +42,13 @@ _MODULES = {
     "abrace.interactive.fragility": ("fragility",),
     "abrace.interactive.identification": ("identify",),
     "abrace.interactive.laboratory": ("characterize", "load_record", "load_rig", "read_run"),
+    "abrace.interactive.models": ("discretize", "save_model"),
     "abrace.interactive.simulation": ("simulate",),
     "abrace.interactive.validation": ("validate",),
     "abrace_bags": ("read_runs",),
     "abrace_core.controller_file": ("Controller", "load_controller"),
-    "abrace_core.discretization": ("discretize",),
     "abrace_core.errors": ("AbraceError",),
-    "abrace_core.linear_model": ("LinearModel", "load_model", "save_model"),
+    "abrace_core.linear_model": ("LinearModel", "load_model"),
     "abrace_core.run": ("Run",),
     "abrace_plant.records.record": ("Record",),
     "abrace_plant.rig.model": ("Rig",),

@@ -18,6 +18,7 @@ from abrace.processes.group import NodeDied, find_executable, terminate_as_excep
 from abrace.report_command import add_report_parser, report_command
 from abrace_core.command_line import OneLineParser
 from abrace_core.errors import AbraceError, RunFailed
+from abrace_core.executable import replace_unprintable
 from abrace_core.ros_arguments import check_environment
 
 if TYPE_CHECKING:
@@ -28,7 +29,10 @@ if TYPE_CHECKING:
 DEMO = "demo"
 WRONG_INPUT = 2
 """Exit code when an argument or a file, of a node or of this command, is wrong."""
-NOT_WRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
+NOT_WRITABLE = (
+    *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO),
+    *(errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG),
+)
 """Errors when a folder or disk cannot be written."""
 FAILED = 1
 """Exit code when a run failed, or its results cannot be trusted."""
@@ -113,6 +117,7 @@ def _completed(action: argparse.Action, completer: Callable[..., Iterable[str]])
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point, with the `arguments` of the command line by default; returns the exit code."""
+    replace_unprintable()
     known = parser()
     completion.complete(known)
     given = known.parse_args(arguments)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from abrace_bags.qos import combined_qos, parse_qos
-from abrace_bags.survey import RawMessage, Survey, survey, time_range
+from abrace_bags.survey import RawMessage, Survey, no_message, survey, time_range
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
@@ -125,8 +125,7 @@ def read_raw(
         span = max(one.last_time for one in whole.topics.values()) - min(
             one.first_time for one in whole.topics.values() if one.count
         )
-        part = f"{start_offset:g} s to {f'{start_offset + duration:g} s' if duration else 'the end'}"
-        raise AbraceError(f"{bag}: there is no message from {part}, its messages span {span * 1e-9:.3f} s")
+        raise no_message(bag, start_offset, duration, span)
     return _raw_bag(path, recorded, found, counts)
 
 

@@ -17,6 +17,7 @@ from abrace_bags.bag import open_bag
 from abrace_bags.losses import is_numbered
 from abrace_bags.mcap.chunk import MESSAGE_HEAD_SIZE
 from abrace_bags.mcap.index import MessageFilter
+from abrace_core.errors import AbraceError
 from abrace_core.sequence import NumberRanges, clock_was_set_back
 
 if TYPE_CHECKING:
@@ -230,6 +231,11 @@ def first_time(opened: OpenedBag, accepts: Callable[[RecordedChannel], bool]) ->
     return min((int(times.min()) for times in parts if times.size), default=None)
 
 
+def _last_time(opened: OpenedBag, accepts: Callable[[RecordedChannel], bool]) -> int:
+    parts = [one.log_time for file in opened.files for one in file.edge(MessageFilter(accepts), last=True)]
+    return max(int(times.max()) for times in parts if times.size)
+
+
 def time_range(
     bag: Path | str, accepts: Callable[[RecordedChannel], bool], start_offset: float, duration: float
 ) -> tuple[int | None, int | None]:
@@ -237,14 +243,29 @@ def time_range(
 
     `accepts` says whose messages these are, `start_offset` [s] counts from the first, a `duration` [s] of 0 is to the
     end.
+
+    Raises
+    ------
+    AbraceError
+        If there are messages, but none that late.
     """
     if not start_offset and not duration:
         return None, None
-    first = first_time(open_bag(bag), accepts)
+    opened = open_bag(bag)
+    first = first_time(opened, accepts)
     if first is None:
         return None, None
     begin = first + round(start_offset * 1e9)
+    last = _last_time(opened, accepts)
+    if begin > last:
+        raise no_message(bag, start_offset, duration, last - first)
     return begin, begin + round(duration * 1e9) if duration else None
+
+
+def no_message(bag: Path | str, start_offset: float, duration: float, span: int) -> AbraceError:
+    """The error of a part of a `bag` without a message: from `start_offset` [s], of a `duration` [s]; `span` [ns]."""
+    part = f"{start_offset:g} s to {f'{start_offset + duration:g} s' if duration else 'the end'}"
+    return AbraceError(f"{bag}: there is no message from {part}, its messages span {span * 1e-9:.3f} s")
 
 
 def edges(opened: OpenedBag, name: str) -> tuple[int, int, int | None]:

@@ -7,6 +7,7 @@ The command is held between samples (zero-order hold); the ground acceleration i
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -49,6 +50,10 @@ def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hol
     """
     if model.sample_period:
         raise AbraceError("discretize: a continuous model was expected")
+    if not (isinstance(sample_period, Real) and 0 < sample_period < np.inf):
+        raise AbraceError(f"discretize: sample_period {sample_period!r}, expected more than 0 s")
+    if wrong := sorted({str(hold) for hold in holds.values()} - {"zero", "first"}):
+        raise AbraceError(f"discretize: hold {wrong[0]!r}, expected zero or first")
     n, m, period = model.order, len(model.inputs), float(sample_period)
 
     def held(span: float, column: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray]:

@@ -7,6 +7,7 @@ import atexit
 import contextlib
 import gc
 import importlib
+import io
 import os
 import signal
 import sys
@@ -21,6 +22,7 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         # nothing is open yet; the default one prints where in which import it came
         signal.signal(number, lambda *_: os._exit(0))
+    replace_unprintable()
     package, name = Path(sys.argv[0]).parts[-2:]
     try:
         check_environment()  # before ROS is imported, which ends the process where it cannot go on
@@ -34,6 +36,12 @@ def main() -> int:
     exit_code = int(module.main())
     _call_exit_handlers()
     os._exit(exit_code)  # without freeing the interpreter's objects one by one, for a quarter of a second
+
+
+def replace_unprintable() -> None:
+    """Print `?` for characters that the terminal's encoding does not have, as in ISO 8859-1, instead of an error."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
 
 
 def _call_exit_handlers() -> None:

@@ -64,8 +64,10 @@ def make_folder(path: Path, *, new: bool = False) -> None:
         make_folder(path.parent)
     try:
         path.mkdir()
-    except FileExistsError:
-        if new or not path.is_dir():
+    except FileExistsError as error:
+        if not path.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path)) from error
+        if new:
             raise
     else:
         sync(path.parent)

@@ -92,7 +92,11 @@ def made_law(law: Callable[..., Law], options: dict[str, Any]) -> Law:
     try:
         return law(**options)
     except Exception as error:
-        raise AbraceError(f"{law.__name__}: {type(error).__name__}: {error}") from error
+        raise AbraceError(f"{law.__name__}: {_in_one_line(error)}") from error
+
+
+def _in_one_line(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
 
 
 class GuardedLaw:
@@ -131,11 +135,11 @@ class GuardedLaw:
         found = self._call("force", LawSample(number, x, stroke, a, f, lost))
         try:
             force = np.atleast_1d(np.asarray([] if found is None else found, dtype=np.float64))
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             force = np.empty(0)
         if force.shape != (groups,):
             raise AbraceError(
-                f"{self._name('force')}: returned {found!r}, expected a number for each of {groups} brace groups"
+                f"{self._name('force')}: returned {found!r:.60}, expected a number for each of {groups} brace groups"
             )
         if self._step < len(self._fade):
             force = force * self._fade[self._step]
@@ -150,4 +154,4 @@ class GuardedLaw:
         try:
             return getattr(self._law, method)(*arguments)
         except Exception as error:
-            raise AbraceError(f"{self._name(method)}: {type(error).__name__}: {error}") from error
+            raise AbraceError(f"{self._name(method)}: {_in_one_line(error)}") from error

@@ -106,8 +106,8 @@ class Run:
             With all names that are not among them (`signals.positions`).
         """
         known = (*self.names, *self.command_names, signals.GROUND)
-        columns = [*self.outputs.T, *self.command.T, self.ground_acceleration]
-        return np.column_stack([columns[i] for i in signals.positions(names, known, f"{self.source}: no channel")])
+        chosen = signals.positions(names, known, f"{self.source}: no channel")
+        return np.hstack([self.outputs, self.command, self.ground_acceleration[:, None]])[:, chosen]
 
     def to_pandas(self) -> pandas.DataFrame:
         """All channels as columns [SI units, in `attrs`], by the time since the first sample [s].
@@ -137,7 +137,8 @@ class Run:
         """
         from abrace_core.signal_figure import time_histories
 
-        names = tuple(channels) or (*self.names, *self.command_names, signals.GROUND)
+        all_names = (*self.names, *self.command_names, signals.GROUND)
+        names = (channels,) if isinstance(channels, str) else tuple(channels) or all_names
         values = {
             name: (column, signals.unit(name)) for name, column in zip(names, self.channels(names).T, strict=True)
         }

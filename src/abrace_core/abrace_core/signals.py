@@ -87,7 +87,7 @@ def positions(names: Sequence[str], known: Sequence[str], missing: str) -> list[
     Parameters
     ----------
     names
-        In either form.
+        In either form; one alone may be a text.
     known
         Of the signals that there are, each in either form.
     missing
@@ -98,6 +98,7 @@ def positions(names: Sequence[str], known: Sequence[str], missing: str) -> list[
     AbraceError
         `<missing> '<name>', '<name>', it has ...`, with all names that are not known.
     """
+    names = [names] if isinstance(names, str) else [str(name) for name in names]
     places = {meaning(name): i for i, name in enumerate(known)} | {name: i for i, name in enumerate(known)}
     found = [places.get(name, places.get(meaning(name))) for name in names]
     unknown = [repr(name) for name, place in zip(names, found, strict=True) if place is None]

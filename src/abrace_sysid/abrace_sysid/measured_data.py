@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
+from abrace_core.matlab_loader import load_matlab
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -70,6 +72,8 @@ class MeasuredData:
         if twice:
             names = ", ".join(dict.fromkeys(twice))
             raise AbraceError(f"{self.source}: named twice: {names}; expected each column once")
+        if self.hold not in get_args(DataHold):
+            raise AbraceError(f"{self.source}: hold {self.hold!r}, expected {' or '.join(get_args(DataHold))}")
         unknown = [name for name in self.units if name not in named]
         if unknown:
             raise AbraceError(f"{self.source}: units of {', '.join(unknown)}, expected of some of {', '.join(named)}")
@@ -138,10 +142,14 @@ def read_data(
         spaced.
     """
     if isinstance(path, (str, Path)):
-        columns = _columns(Path(path))
-    else:
-        columns = {str(name): np.asarray(path[name], dtype=np.float64) for name in path}
+        columns = _columns_of(_read(Path(path)), path)
+    elif hasattr(path, "keys"):
+        columns = _columns_of({str(name): np.asarray(path[name]) for name in path}, "data")
         path = "data"
+    else:
+        raise AbraceError(f"data {type(path).__name__}, expected a file, a DataFrame, or arrays by name")
+    if not isinstance(sample_rate, Real):
+        raise AbraceError(f"{path}: sample_rate {sample_rate!r}, expected a number in Hz")
     if (sample_rate > 0) == bool(time):
         raise AbraceError(f"{path}: sample_rate {sample_rate:g} Hz and time {time!r}, expected just one of the two")
     named = {signals.meaning(name) for name in (*inputs, time)}
@@ -177,52 +185,53 @@ def units_of(given: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def _columns(path: Path) -> dict[str, NDArray[np.float64]]:
-    """The columns of a file by name."""
-    if path.suffix not in SUFFIXES:
+def _columns_of(arrays: Mapping[str, NDArray[Any]], source: Path | str) -> dict[str, NDArray[np.float64]]:
+    """The columns of arrays, those of a matrix numbered; what is no vector or matrix of real numbers is left out."""
+    columns: dict[str, NDArray[np.float64]] = {}
+    for name, array in arrays.items():
+        if array.dtype.kind == "O":
+            array = _numbers_or_none(array)
+        if array.dtype.kind not in "fiu" or array.size < 2 or array.ndim not in (1, 2):
+            continue
+        values = array.astype(np.float64)
+        if values.ndim == 1 or 1 in values.shape:
+            columns[name] = values.ravel()
+        else:
+            columns |= {f"{name}_{i + 1}" if name else str(i + 1): column for i, column in enumerate(values.T)}
+    if not columns:
+        raise AbraceError(f"{source}: no array of real numbers, expected at least one")
+    return columns
+
+
+def _numbers_or_none(array: NDArray[Any]) -> NDArray[Any]:
+    """The numbers in an array of objects, as a column of pandas with empty cells is; the array if it has others."""
+    try:
+        return array.astype(np.float64)
+    except (TypeError, ValueError):
+        return array
+
+
+def _read(path: Path) -> Mapping[str, NDArray[Any]]:
+    """The arrays in a file by name."""
+    ending = path.suffix.lower()
+    if ending not in SUFFIXES:
         raise AbraceError(f"{path}: expected a file with the ending {', '.join(SUFFIXES)}")
     try:
-        if path.suffix == ".csv":
+        if ending == ".csv":
             return _csv_columns(path)
-        arrays = _arrays(path)
+        if ending == ".mat":
+            found = load_matlab(path).items()
+            return {name: np.asarray(value) for name, value in found if not name.startswith("__")}
+        if ending == ".npy":
+            return {"": np.load(path)}
+        with np.load(path) as content:
+            return dict(content)
     except AbraceError:
         raise
     except OSError as error:
         raise AbraceError(f"{path}: {error.strerror or error}") from error
-    except Exception as error:  # SciPy's and NumPy's readers raise many types for a damaged file
-        raise AbraceError(f"{path}: cannot be read as {path.suffix} ({error})") from error
-    columns: dict[str, NDArray[np.float64]] = {}
-    for name, array in arrays.items():
-        if array.ndim == 1 or 1 in array.shape:
-            columns[name] = array.ravel()
-        else:
-            columns |= {f"{name}_{i + 1}" if name else str(i + 1): column for i, column in enumerate(array.T)}
-    if not columns:
-        raise AbraceError(f"{path}: no array of real numbers, expected at least one")
-    return columns
-
-
-def _arrays(path: Path) -> dict[str, NDArray[np.float64]]:
-    """The vectors and matrices of real numbers in a MATLAB or NumPy file, by name."""
-    content: Mapping[str, Any]
-    if path.suffix == ".mat":
-        from scipy.io import loadmat
-
-        try:
-            content = loadmat(str(path))
-        except NotImplementedError as error:
-            raise AbraceError(f"{path}: MATLAB 7.3, expected a file saved with '-v7'") from error
-    elif path.suffix == ".npz":
-        with np.load(path) as file:
-            content = dict(file)
-    else:
-        content = {"": np.load(path)}
-    found = {name: np.asarray(value) for name, value in content.items() if not name.startswith("__")}
-    return {
-        name: array.astype(np.float64)
-        for name, array in found.items()
-        if array.dtype.kind in "fiu" and array.size > 1 and array.ndim in (1, 2)
-    }
+    except Exception as error:  # NumPy's reader raises many types for a damaged file
+        raise AbraceError(f"{path}: cannot be read as {ending} ({error})") from error
 
 
 def _csv_columns(path: Path) -> dict[str, NDArray[np.float64]]:

@@ -25,6 +25,17 @@ PATIENCE = 30.0
 """Seconds within which the nodes of a killed campaign have to end."""
 
 
+def unwritable() -> list[str]:
+    """Why no campaign can write here, a text for each of the folders of results and bags that cannot be written."""
+    found = []
+    for folder in (RESULTS, BAGS):
+        if folder.exists() and not folder.is_dir():
+            found.append(f"{folder} in {Path.cwd()} is a file, expected a folder or nothing")
+        elif not os.access(folder if folder.exists() else Path(), os.W_OK | os.X_OK):
+            found.append(f"{folder} in {Path.cwd()} cannot be written, expected a folder where you may write")
+    return found
+
+
 class Folders:
     """The folders of the campaign `name`, below the working directory."""
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from abrace.campaign.check import CheckedCampaign
 from abrace.campaign.file import load_campaign, refuse
+from abrace.campaign.folders import unwritable
 from abrace.campaign.forecast import COMMAND, UNITS, Forecaster
 from abrace.campaign.tasks import Ambient, Compare, Design, Identify, RigTest, Validate
 from abrace.report.table import Table
@@ -47,6 +48,7 @@ def check_campaign(path: Path | str) -> Plan:
     free, needed = shutil.disk_usage(".").free, plan.bytes_of_bags()
     if needed > free:
         problems.append(f"bags of about {_size(needed)}, expected less than the {_size(free)} free in {Path.cwd()}")
+    problems += unwritable()
     if problems:
         refuse([f"campaign file {path}: {problem}" for problem in problems])
     return plan

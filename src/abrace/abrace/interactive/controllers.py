@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from abrace.interactive.given import model_of, rig_of, weights_of
+from abrace.interactive.given import model_of, rig_of, several, weights_of
 from abrace.interactive.identification import Identified
+from abrace_core.config_file import validated
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import load_covariance, load_model
 from abrace_core.one_thread import one_thread
@@ -85,8 +87,8 @@ def design(
         weights_name=name,
         sample_period=period,
         force_limit=limit,
-        limits=Limits(**limits) if limits else None,
-        accept=accept,
+        limits=validated(limits, Limits, "design: limits") if limits else None,
+        accept=several(accept),
         covariances={name: each for name, each in covariances.items() if each is not None},
         distrust=distrust,
     )
@@ -105,7 +107,10 @@ def of_rig(model: LinearModel, rig: AnyRig | None, period: float | None, force: 
         known = rig_of(rig)
         period = period or 1 / known.sample_rate
         force = known.capacity.tolist() if force is None else force
-    limits = [float(force)] * groups if isinstance(force, (int, float)) else list(force or [])
+    limits = [force] * groups if isinstance(force, Real) else list(several(force)) if force is not None else []
+    for name, value in [("sample_period", period), *(("force_limit", each) for each in limits)]:
+        if value is not None and not isinstance(value, Real):
+            raise AbraceError(f"design: {name} {value!r}, expected a number")
     try:
         return sample_period_of(model, period or 0.0), force_limit_of(model, limits)
     except AbraceError as error:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace.interactive.given import runs_of, warn
+from abrace.interactive.given import band_of, runs_of, several, warn
 from abrace.interactive.identification import pole_intervals
 from abrace_core.errors import AbraceError
 from abrace_core.one_thread import one_thread
@@ -115,8 +115,9 @@ def identify_data(
     AbraceError
         If the data cannot be used, with all columns that are missing.
     """
-    given = data if isinstance(data, MeasuredData) else read_data(data, inputs, outputs, sample_rate, time, units, hold)
-    found = data_identification.identify_data(given, DataOptions(band=band))
+    columns = several(inputs), several(outputs)
+    given = data if isinstance(data, MeasuredData) else read_data(data, *columns, sample_rate, time, units, hold)
+    found = data_identification.identify_data(given, DataOptions(band=None if band is None else band_of(band)))
     warn(found.warnings)
     return IdentifiedData(found)
 
@@ -172,6 +173,6 @@ def identify_ambient(
     AbraceError
         If there is a command, the tests are too short, or no band is given and no resonance found.
     """
-    found, warnings = ambient_test(runs_of(tests), tuple(channels), band, highest_order)
+    found, warnings = ambient_test(runs_of(tests), several(channels), band_of(band), highest_order)
     warn(warnings)
     return IdentifiedModes(found)

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from abrace.interactive.controllers import of_rig
-from abrace.interactive.fragility import covariance_of, ground_motions, interlocks_of
+from abrace.interactive.fragility import ground_motions, interlocks_of
 from abrace.interactive.given import model_of, warn, weights_of
+from abrace.interactive.models import covariance_of
 from abrace_core.errors import AbraceError
 from abrace_core.tables import data_frame
 from abrace_lqg.exploration.ensemble import Record as Motion

@@ -5,15 +5,15 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
+from numbers import Real
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from abrace.interactive.given import controller_of, model_of, rig_of, warn
-from abrace.interactive.identification import Identified
+from abrace.interactive.given import controller_of, model_of, rig_of, several, warn
+from abrace.interactive.models import covariance_of
 from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel, load_covariance
+from abrace_core.linear_model import LinearModel
 from abrace_core.loop_extremes import Motions
 from abrace_core.noise import banded_noise
 from abrace_core.signals import meaning, response_names
@@ -27,6 +27,7 @@ from abrace_plant.rig.limits import limit_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -109,7 +110,7 @@ def fragility(
     AbraceError
         If something given does not fit, or the folder has results of another study.
     """
-    tried = tuple(controller_of(each) for each in controllers)
+    tried = tuple(controller_of(each) for each in several(controllers))
     period = sample_period or (tried[0].law.sample_period if tried else 0.002)
     grounds = ground_motions(records, noise, noise_duration, period)
     drawn = ensemble(model_of(model), covariance_of(model), models, seed, str(model))
@@ -143,11 +144,15 @@ def ground_motions(
     period
         Of the samples [s].
     """
-    if not np.isfinite(noise_duration):
-        raise AbraceError(f"noise of {noise_duration:g} s: expected a finite duration")
+    seeds = several(noise)
+    for seed in seeds:
+        if not isinstance(seed, (int, np.integer)) or seed < 0:
+            raise AbraceError(f"noise {seed!r}: expected seeds, whole numbers from 0 on")
+    if not isinstance(noise_duration, Real) or not 0 < noise_duration < np.inf:
+        raise AbraceError(f"noise_duration {noise_duration!r}: expected seconds above 0")
     count = round(noise_duration / period)
-    made = [(f"noise {seed}", banded_noise(count, 1 / period, NOISE_BAND, 1.0, seed)) for seed in noise]
-    return [_recorded(each, period) for each in records] + made
+    made = [(f"noise {seed}", banded_noise(count, 1 / period, NOISE_BAND, 1.0, int(seed))) for seed in seeds]
+    return [_recorded(each, period) for each in several(records)] + made
 
 
 def _recorded(given: Record | Path | str, period: float) -> tuple[str, NDArray[np.float64]]:
@@ -160,16 +165,6 @@ def _unit(name: str, ground: NDArray[np.float64]) -> NDArray[np.float64]:
     if not peak > 0:
         raise AbraceError(f"record {name}: the ground does not move, expected an earthquake")
     return np.asarray(ground / peak)
-
-
-def covariance_of(given: AnyModel) -> NDArray[np.float64] | None:
-    """Of the parameters of the model that was `given`; None: not known."""
-    if isinstance(given, Identified):
-        return given.found.covariance
-    if isinstance(given, (str, Path)):
-        path = Path(given) / "model.json" if Path(given).is_dir() else Path(given)
-        return load_covariance(path) if path.suffix == ".json" else None
-    return None
 
 
 class Acting(NamedTuple):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
@@ -19,7 +20,7 @@ from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.model import Rig
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     import control
 
@@ -75,9 +76,28 @@ def model_of(given: Any, design: bool = False) -> LinearModel:
     return found
 
 
+def several(given: Any) -> tuple[Any, ...]:
+    """What was `given`, one or several: a single name, file or object is one."""
+    return (given,) if isinstance(given, (str, Path)) or not isinstance(given, Iterable) else tuple(given)
+
+
+def band_of(given: Any) -> tuple[float, float]:
+    """The band that was `given` [Hz], two numbers."""
+    try:
+        low, high = (float(each) for each in given)
+    except (TypeError, ValueError) as error:
+        raise AbraceError(f"band {given!r:.60}: expected two frequencies in Hz") from error
+    return low, high
+
+
 def runs_of(given: AnyRun | Sequence[AnyRun]) -> list[Run]:
     """The tests that were `given`, one or several; a bag may hold several."""
-    each = [given] if isinstance(given, (Run, str, Path)) else list(given)
+    each = several(given)
+    if not each:
+        raise AbraceError("no test given, expected at least one")
+    for one in each:
+        if not isinstance(one, (Run, str, Path)):
+            raise AbraceError(f"test {one!r:.60}: expected a Run, or the folder of its bag")
     return [run for one in each for run in ([one] if isinstance(one, Run) else read_runs(one))]
 
 
@@ -85,7 +105,11 @@ def controller_of(given: AnyController) -> Controller:
     """The controller that was `given`."""
     if isinstance(given, ProvenDesign):
         return given.controller
-    return given if isinstance(given, Controller) else load_controller(given)
+    if isinstance(given, (str, Path)):
+        return load_controller(given)
+    if not isinstance(given, Controller):
+        raise AbraceError(f"controller {given!r:.60}: expected a controller, its file, a design, or a law of one's own")
+    return given
 
 
 def weights_of(given: Weights | Path | str) -> tuple[Weights, str]:

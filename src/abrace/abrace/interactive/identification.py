@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace.interactive.given import runs_of, warn
+from abrace.interactive.given import band_of, runs_of, warn
 from abrace_core.errors import AbraceError
 from abrace_core.one_thread import one_thread
 from abrace_core.tables import data_frame
@@ -166,7 +166,11 @@ def identify(
         If a test or an option cannot be used.
     """
     options = IdentificationOptions(
-        fit=fit, table_band=table_band, command_band=command_band, servo_lag=servo_lag, reduced_order=reduced_order
+        fit=fit,
+        table_band=band_of(table_band),
+        command_band=band_of(command_band),
+        servo_lag=servo_lag,
+        reduced_order=reduced_order,
     )
     tables, commands = runs_of(table), runs_of(command)
     found = identification.identify(tables, commands, options)

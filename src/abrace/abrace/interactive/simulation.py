@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,9 +82,9 @@ def simulate(
     peak_acceleration
         [m/s^2] to which the record is scaled; 0: as recorded.
     duration
-        [s] to which it is padded or cut, or of the noise; 0: the whole record.
+        [s] to which record and command are padded or cut, or of the noise; 0: all of them.
     seed
-        Of the sensors; white noise has the next ones, as the nodes have it by default.
+        Of the sensors, from 0 on; white noise has the next ones, as the nodes have it by default.
     sample_period
         [s] of a simulated model; None: that of the controller, or of the tests that the model was identified from.
     treatment
@@ -101,14 +102,22 @@ def simulate(
     """
     if controller is not None and command is not None:
         raise AbraceError("simulate: controller and command, expected one of them")
+    if isinstance(controller, type):
+        raise AbraceError(f"simulate: controller {controller.__name__} is a class, expected {controller.__name__}(...)")
     rig = _rig_or_none(structure)
     if rig is not None:
-        period = 1 / rig.sample_rate
+        fixed = 1 / rig.sample_rate
     else:
         model = model_of(structure)
-        period = sample_period or _sample_period(model, controller)
+        fixed = model.sample_period
+    period = _period(fixed, sample_period) or _sample_period(model, controller)
+    if not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise AbraceError(f"simulate: seed {seed!r}, expected a whole number from 0 on")
     fields = {**treatment, "peak_acceleration": peak_acceleration, "duration": duration}
-    ground, name = _ground(record, 1 / period, fields, seed)
+    if isinstance(record, (Record, str, Path)) and record != WHITE_NOISE:
+        fields = {"band_limit": BAND_LIMIT, **fields}
+    asked = _treatment(fields)
+    ground, name = _ground(record, 1 / period, asked, seed)
     groups = rig.groups if rig is not None else len(model.inputs) - 1
     capacity = rig.capacity if rig is not None else np.array(model.provenance.get("force_limit", []))
     forces = _commands(command, 1 / period, duration, groups, seed, COMMAND_SHARE * capacity)
@@ -133,9 +142,17 @@ def _rig_or_none(structure: Any) -> Rig | None:
     return rig_of(structure) if is_name else None
 
 
+def _period(fixed: float, given: float | None) -> float:
+    """The sample period that a rig or a sampled model has (`fixed`, 0: none), or that is given; 0: neither [s]."""
+    if given is None:
+        return fixed
+    if not isinstance(given, Real) or not 0 < given < np.inf or (fixed and abs(given / fixed - 1) > ROUNDING):
+        raise AbraceError(f"simulate: sample_period {given!r}, expected {f'{fixed:g}' if fixed else 'more than 0'} s")
+    return float(given)
+
+
 def _sample_period(model: LinearModel, controller: Any) -> float:
-    if model.sample_period:
-        return model.sample_period
+    """The sample period of the controller, or of the tests that the model was identified from [s]."""
     if controller is not None and not hasattr(controller, "begin"):
         return controller_of(controller).law.sample_period
     found = model.provenance.get("sample_period")
@@ -144,26 +161,38 @@ def _sample_period(model: LinearModel, controller: Any) -> float:
     return float(found)
 
 
-def _ground(record: Any, rate: float, fields: dict[str, Any], seed: int) -> tuple[NDArray[np.float64] | None, str]:
+def _treatment(fields: dict[str, Any]) -> Treatment:
+    known = Treatment.__dataclass_fields__
+    if unknown := [name for name in fields if name not in known]:
+        expected = f"expected a treatment of the record: {', '.join(known)}"
+        raise AbraceError(f"simulate: {', '.join(unknown)}: unknown, {expected}")
+    return Treatment(**fields)
+
+
+def _ground(record: Any, rate: float, asked: Treatment, seed: int) -> tuple[NDArray[np.float64] | None, str]:
     """The motion of the table (samples,) [m/s^2], and its name."""
-    unknown = [name for name in fields if name not in Treatment.__dataclass_fields__]
-    if unknown:
-        known = ", ".join(Treatment.__dataclass_fields__)
-        raise AbraceError(f"simulate: {', '.join(unknown)}: unknown, expected a treatment of the record: {known}")
     if record is None:
         return None, "command"
     if isinstance(record, str) and record == WHITE_NOISE:
-        return table_noise(round(fields["duration"] * rate), rate, **TABLE_NOISE, seed=seed + 1), WHITE_NOISE
+        if asked != Treatment(duration=asked.duration):
+            raise AbraceError(f"simulate: a treatment of {WHITE_NOISE!r}, expected only duration and seed")
+        return table_noise(round(asked.duration * rate), rate, **TABLE_NOISE, seed=seed + 1), WHITE_NOISE
     if isinstance(record, Run):
-        if abs(record.sample_period * rate - 1) > ROUNDING:
-            raise AbraceError(f"{record.source}: sampled at {1 / record.sample_period:g} Hz, expected {rate:g} Hz")
-        return record.ground_acceleration, record.source
-    if not isinstance(record, (Record, str, Path)):
-        motion = Record("motion", 1 / rate, np.asarray(record, dtype=np.float64))
+        motion = Record(record.source, record.sample_period, record.ground_acceleration)
+    elif isinstance(record, Record):
+        motion = record
+    elif isinstance(record, (str, Path)):
+        motion = read_record(record)
     else:
-        motion = record if isinstance(record, Record) else read_record(record)
-        fields = {"band_limit": BAND_LIMIT, **fields}
-    return prepare(motion, rate, Treatment(**fields)), motion.name
+        motion = Record("motion", 1 / rate, _numbers(record, "record"))
+    return prepare(motion, rate, asked), motion.name
+
+
+def _numbers(given: Any, what: str) -> NDArray[np.float64]:
+    try:
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise AbraceError(f"simulate: {what} {given!r:.60}: expected numbers ({error})") from error
 
 
 def _commands(
@@ -187,11 +216,14 @@ def _commands(
         samples = round(duration * rate)
         each = [banded_noise(samples, rate, COMMAND_BAND, float(rms[j]), seed + 2 + j) for j in range(groups)]
         return np.column_stack(each)
-    forces = np.asarray(command, dtype=np.float64)
+    forces = _numbers(command, "command")
     forces = forces[:, None] if forces.ndim == 1 else forces
-    if forces.ndim != 2 or forces.shape[1] != groups:
+    if forces.ndim != 2 or forces.shape[1] != groups or not len(forces):
         raise AbraceError(f"simulate: command of shape {forces.shape}, expected (samples, {groups})")
-    return forces
+    if not np.isfinite(forces).all():
+        raise AbraceError("simulate: a command that is not finite, expected forces in N")
+    samples = round(duration * rate) or len(forces)
+    return _padded(forces[:samples], (samples, groups))
 
 
 def _padded(values: NDArray[np.float64] | None, shape: tuple[int, ...]) -> NDArray[np.float64]:

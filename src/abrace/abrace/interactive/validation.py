@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from abrace.interactive.given import controller_of, model_of, runs_of
+from abrace.interactive.given import controller_of, model_of, runs_of, several
 from abrace_core.errors import AbraceError
 from abrace_core.one_thread import one_thread
 from abrace_core.tables import data_frame
@@ -77,7 +77,7 @@ class Validated:
         """
         names = self.comparison.names
         floors = [name for name in names if name[0] == "x" and name[1:].isdigit()]
-        return time_histories(self.comparison, tuple(channels) or (*floors[-1:], "a1"))
+        return time_histories(self.comparison, several(channels) or (*floors[-1:], "a1"))
 
 
 @one_thread()

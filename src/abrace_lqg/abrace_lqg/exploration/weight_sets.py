@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from abrace_core.errors import AbraceError
+from abrace_core.suggestion import expected_of
 from abrace_lqg.weights import KindWeights, Weights
 
 if TYPE_CHECKING:
@@ -45,11 +46,16 @@ def weight_sets(given: Weights, spans: Mapping[str, tuple[float, float]], count:
     Raises
     ------
     AbraceError
-        If a span's bounds are in the wrong order, all spans are zero, or a weight that is given as zero has a span.
+        If a span is of no weight, or its bounds are in the wrong order, all spans are zero, a weight that is given as
+        zero has a span, or there are no sets.
     """
     file = given.model_dump()
     start = {**file["weights"], "noise_to_excitation": file["noise_to_excitation"]}
     names = [name for name, span in spans.items() if tuple(span) != (0.0, 0.0)]
+    if unknown := [name for name in spans if name not in start]:
+        raise AbraceError(f"span of {unknown[0]}: no such weight, {expected_of(unknown[0], start)}")
+    if count < 1:
+        raise AbraceError(f"sets {count}, expected at least 1")
     for name in names:
         low, high = spans[name]
         if not low <= high:

@@ -7,6 +7,7 @@ import csv
 import io
 import json
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -138,11 +139,13 @@ def run_study(
     """
     plant = study.plant(0)
     known = (*plant.outputs, *plant.inputs[1:])
-    unknown = [name for name in limits if name not in known]
-    if unknown or not limits or not all(0 < value < np.inf for value in limits.values()):
+    numbers = {name: value for name, value in limits.items() if isinstance(value, Real) and 0 < value < np.inf}
+    if not limits or not set(numbers) <= set(known) or len(numbers) < len(limits):
+        shown = (
+            f"{name}={value:g}" if isinstance(value, Real) else f"{name}={value!r}" for name, value in limits.items()
+        )
         raise AbraceError(
-            f"limits {', '.join(f'{name}={value:g}' for name, value in limits.items()) or 'none'}: expected a value "
-            f"above 0 for some of {', '.join(known)}"
+            f"limits {', '.join(shown) or 'none'}: expected a value above 0 for some of {', '.join(known)}"
         )
     folder = Path(folder)
     compute_missing(

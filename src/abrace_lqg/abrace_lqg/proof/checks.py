@@ -15,6 +15,7 @@ import numpy as np
 
 from abrace_core.errors import AbraceError
 from abrace_core.linear_model import takes_models
+from abrace_core.suggestion import expected_of
 from abrace_lqg.analysis.disk_margin import DiskMargin, disk_margin
 from abrace_lqg.analysis.lost_samples import LostSamples, lost_samples
 from abrace_lqg.analysis.margins import Margins, margins_at
@@ -22,7 +23,7 @@ from abrace_lqg.analysis.mode_damping import ModeEffect, mode_effects
 from abrace_lqg.analysis.prediction import rms_without_and_with_control
 from abrace_lqg.loop import closed_loop_poles, is_stable
 from abrace_lqg.of_model import excitation_of
-from abrace_lqg.proof.limits import WORDING, Limits, Objection, shortfall
+from abrace_lqg.proof.limits import OBJECTIONS, WORDING, Limits, Objection, shortfall
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -269,9 +270,11 @@ def require(proof: Proof, accept: Collection[str] = ()) -> Proof:
     Raises
     ------
     AbraceError
-        With each objection that is not accepted, and the names by which they can be.
+        With each objection that is not accepted, and the names by which they can be; or a name that is none.
     """
     found = proof.objections()
+    if unknown := [name for name in accept if name not in OBJECTIONS]:
+        raise AbraceError(f"accept {unknown[0]!r}: {expected_of(str(unknown[0]), OBJECTIONS)}")
     refused = {name: reason for name, reason in found.items() if name not in accept}
     if refused:
         raise AbraceError(

@@ -20,7 +20,7 @@ import numpy as np
 from abrace_bags import TopicArrays, read_topics
 from abrace_bags.reader import read_selected
 from abrace_core.errors import AbraceError
-from abrace_plant.records.matlab_loader import load_matlab
+from abrace_core.matlab_loader import load_matlab
 from abrace_plant.records.reading import Reading, checked_reading, record_error
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 _FIELD = re.compile(r"(?P<field>[^\[\]]+)(?:\[(?P<index>\d{1,9})\])?")
 
 
@@ -45,15 +44,7 @@ def read_mat(name: str, path: Path, channel: str | None) -> Reading:
     channel
         Name of the variable; the only series in the file when None.
     """
-    with path.open("rb") as file:
-        start = file.read(520)
-    if start.startswith(b"MATLAB 7.3") or _HDF5_MAGIC in (start[:8], start[512:]):
-        raise record_error(name, "a MATLAB file of version 7.3 (HDF5), expected one saved with save -v7")
-    try:
-        variables = load_matlab(path)
-    except ValueError as error:
-        damage = " (damaged)" if "damaged" in str(error) else ""
-        raise record_error(name, f"not read as a MATLAB file of version 4 to 7.2{damage}") from error
+    variables = load_matlab(path)
     arrays = _arrays({key: value for key, value in variables.items() if not key.startswith("__")}, "")
     series = [key for key, values in arrays.items() if _is_series(values)]
     listed = ", ".join(f"{key} ({' x '.join(map(str, values.shape))})" for key, values in arrays.items()) or "none"

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -62,8 +63,9 @@ def read_record(
     """
     if unit is not None and unit not in UNITS:
         raise AbraceError(f"ground motion unit {unit!r}: expected one of {', '.join(UNITS)}")
-    if sample_period is not None and not (math.isfinite(sample_period) and sample_period > 0):
-        raise AbraceError(f"ground motion sample_period {sample_period} s: expected more than 0")
+    if sample_period is not None and not (isinstance(sample_period, Real) and 0 < sample_period < math.inf):
+        raise AbraceError(f"ground motion sample_period {sample_period!r} s: expected more than 0")
+    channel = None if channel is None else str(channel)
     name = str(path_or_name)
     path = record_file(name)
     try:

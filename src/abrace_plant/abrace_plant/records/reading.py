@@ -9,6 +9,7 @@ period is the slope of the straight line through the stamps.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -182,8 +183,7 @@ class RecordText:
     name
         Of the record, as the user gave it.
     content
-        The file, in ASCII or an encoding that extends it: numbers are ASCII, and other letters, as in the name of a
-        station, are ignored.
+        The file, in UTF-8, or else in ISO 8859-1.
 
     Raises
     ------
@@ -196,7 +196,11 @@ class RecordText:
         if b"\0" in content:
             raise self.error("binary, expected a text")
         # DOS, and the old strong-motion files from it, end a text with the character 26
-        text = content.decode("utf-8-sig", errors="replace").rstrip("\x1a\r\n\t ")
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("latin-1")  # of Windows, in which a unit may be written as m/s²
+        text = text.rstrip("\x1a\r\n\t ")
         self.lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         if not text:
             raise self.error("empty, expected a ground acceleration")
@@ -224,5 +228,6 @@ class RecordText:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise self.error(f"{word[:20]!r}, expected a finite number", line)
+            point = " with a decimal point" if re.fullmatch(r"[-+]?\d+,\d+", word) else ""
+            raise self.error(f"{word[:20]!r}, expected a finite number{point}", line)
         return value

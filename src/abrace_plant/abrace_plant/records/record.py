@@ -68,7 +68,9 @@ def check_record(record: Record) -> None:
     AbraceError
         If it has less than two samples, one that is not finite, or no sample period.
     """
-    where, acceleration, period = f"ground motion {record.name}", record.acceleration, record.sample_period
+    where, acceleration, period = f"ground motion {record.name}", np.asarray(record.acceleration), record.sample_period
+    if acceleration.ndim != 1:
+        raise AbraceError(f"{where}: of shape {acceleration.shape}, expected (samples,)")
     if len(acceleration) < 2:
         raise AbraceError(f"{where}: {len(acceleration)} samples, expected at least 2")
     finite = np.isfinite(acceleration)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from fractions import Fraction
+from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +31,8 @@ RESAMPLING_STOPBAND = 105.0
 """The same where the limit is half the lower sample rate, at which images of the highest frequencies add up."""
 BAND_LIMIT = 25.0
 """Of the motions that nodes play, unless another is asked for [Hz]."""
+LOWEST_BAND_LIMIT = 0.1
+"""[Hz]; no earthquake is left below it, and the filter, whose length grows as it falls, would take minutes."""
 FADE = 0.5
 """Seconds at the end of a motion that is cut, in which it comes to rest."""
 MAX_RATIO = 5000
@@ -63,7 +66,7 @@ class Treatment:
     band_limit
         End of the low-pass filter [Hz]; below 0.79 times it the motion is unchanged within 1e-5. 0, or more than half
         of the record's or of the rig's sample rate: that half, below 0.8 times which it is unchanged within 1e-5, and
-        no filter where the two rates are equal.
+        no filter where the two rates are equal. Otherwise at least 0.1 Hz.
     peak_acceleration
         Greatest absolute value of the whole treated motion [m/s^2], met exactly, before a longer motion is cut; 0: as
         recorded.
@@ -85,12 +88,16 @@ class Treatment:
             raise AbraceError(f"ground motion baseline {self.baseline!r}: expected one of {', '.join(BASELINES)}")
         for field in fields(self):
             value = getattr(self, field.name)
-            if isinstance(value, str):
+            if field.name == "baseline":
                 continue
-            positive = field.name == "time_scale"
-            if not (np.isfinite(value) and value >= 0) or (positive and value == 0):
-                expected = "more than 0" if positive else "0 or more"
-                raise AbraceError(f"ground motion {field.name} {value}: expected {expected}")
+            expected = "more than 0" if field.name == "time_scale" else "0 or more"
+            is_number = isinstance(value, Real) and np.isfinite(value)
+            if not is_number or value < 0 or (value == 0 and field.name == "time_scale"):
+                raise AbraceError(f"ground motion {field.name} {value!r}: expected {expected}")
+        if 0 < self.band_limit < LOWEST_BAND_LIMIT:
+            raise AbraceError(
+                f"ground motion band_limit {self.band_limit:g} Hz: expected 0 or at least {LOWEST_BAND_LIMIT:g} Hz"
+            )
 
 
 def prepare(record: Record, sample_rate: float, treatment: Treatment | None = None) -> NDArray[np.float64]:
@@ -222,7 +229,7 @@ def _resample(
     A Kaiser-windowed low-pass filter, applied in its polyphase form (Oppenheim and Schafer, sec. 4.7): its pass band
     ends at 0.8 of the limit, its stop band starts at the limit.
     """
-    ratio = Fraction(sample_rate * period).limit_denominator(MAX_RATIO)
+    ratio = Fraction(float(sample_rate * period)).limit_denominator(MAX_RATIO)
     if ratio == 0:
         raise AbraceError(
             f"{where}: sample rate {1 / period:g} Hz, expected less than {MAX_RATIO} times the rig's {sample_rate:g} Hz"

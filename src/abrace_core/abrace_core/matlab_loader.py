@@ -18,6 +18,7 @@ from scipy.io import loadmat
 if TYPE_CHECKING:
     from pathlib import Path
 
+_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 _LONGEST_REASON = 80
 
 
@@ -26,15 +27,22 @@ def load_matlab(path: Path) -> dict[str, Any]:
 
     Raises
     ------
+    OSError
+        If there is none.
     ValueError
-        If it is none, or damaged: why.
+        If it is something else, or damaged: which.
     """
+    with path.open("rb") as file:
+        start = file.read(520)
+    if start.startswith(b"MATLAB 7.3") or _HDF5_MAGIC in (start[:8], start[512:]):
+        raise ValueError("a MATLAB file of version 7.3 (HDF5), expected one saved with save -v7")
     # -P: SciPy's imports are not searched in the folder of this module
     ran = subprocess.run([sys.executable, "-P", __file__, str(path)], capture_output=True, check=False)
-    if ran.returncode < 0:
-        raise ValueError("damaged")
-    if ran.returncode > 0:
-        raise ValueError(" ".join(ran.stderr.decode(errors="replace").split())[:_LONGEST_REASON])
+    if ran.returncode:
+        reason = "damaged"  # where a signal ended it
+        if ran.returncode > 0:
+            reason = " ".join(ran.stderr.decode(errors="replace").split())[:_LONGEST_REASON]
+        raise ValueError(f"not read as a MATLAB file of version 4 to 7.2 ({reason})")
     variables: dict[str, Any] = pickle.loads(ran.stdout)
     return variables
 
