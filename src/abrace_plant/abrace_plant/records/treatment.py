@@ -219,7 +219,7 @@ def _resample(
 ) -> NDArray[np.float64]:
     """The acceleration at the sample rate, (samples,), with zeros before and after it: nothing wraps round.
 
-    A Kaiser-windowed low-pass filter, applied in its polyphase form (Oppenheim and Schafer, sec. 4.7): its pass band
+    A Kaiser-windowed low-pass filter, applied in its polyphase form (Oppenheim and Schafer 2010, ch. 4): its pass band
     ends at 0.8 of the limit, its stop band starts at the limit.
     """
     ratio = Fraction(sample_rate * period).limit_denominator(MAX_RATIO)
