@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`abrace benchmark`: a controller on a benchmark building or rig, beside the reference controllers."""
+"""`abrace benchmark`: a controller on a benchmark building or rig, compared with the reference controllers."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 RESULTS = Path("results/benchmark")
 RECORDED = "recorded"
-"""Name of the test that --bag gives, beside controllers."""
+"""Name of the test that --bag gives, among controllers."""
 EXAMPLES = """examples:
   abrace benchmark ncree_three_storey                          LQG1 to LQG5: results/benchmark/ncree_three_storey
-  abrace benchmark ncree_three_storey --controller mine.yaml   a controller file beside them
+  abrace benchmark ncree_three_storey --controller mine.yaml   and a controller file
   abrace benchmark ncree_three_storey --controller skyhook/skyhook   a node, in the live graph in lockstep
   abrace benchmark ncree_three_storey --bag bags/lqg3 --uncontrolled bags/free   a recorded test
   BENCHMARK_DATA=folder abrace benchmark sac_la_20 --controller mine.yaml        with the records in folder/records
-  abrace benchmark sac_la_20 --record el_centro                any record; uncontrolled values of its own
+  abrace benchmark sac_la_20 --record el_centro                any record, with its own uncontrolled values
   abrace benchmark ncree_three_storey --export shared          model, motions and laws for other programs"""
 RIG_PEAK = 0.980665
 """Of a record given for a rig, or for a rig without a benchmark file: 0.1 g [m/s^2]."""
@@ -41,7 +41,9 @@ def add_benchmark_parser(
 ) -> None:
     """Add `benchmark` to the command's `commands`; `completed` has the shell complete its name."""
     benchmark = commands.add_parser(
-        "benchmark", help="criteria J1 to J17 of a controller on a benchmark, beside reference ones", epilog=EXAMPLES
+        "benchmark",
+        help="criteria J1 to J17 of a controller on a benchmark, compared with reference controllers",
+        epilog=EXAMPLES,
     )
     completed(
         benchmark.add_argument("name", help="a benchmark or a rig, by name or file: sac_la_20, ncree_three_storey")
@@ -141,7 +143,7 @@ def open_benchmark(name: str, records: Iterable[str] = (), noise_seed: int | Non
         definition = RigDefinition(name=Path(name).stem, rig=name, duration=100.0, cases=[case])
     if isinstance(definition, RigDefinition):
         if noise_seed is not None:
-            raise AbraceError("--noise: given with a rig, expected a benchmark of a frame: a rig's runs are linear")
+            raise AbraceError("--noise: given with a rig, expected a benchmark of a frame; a rig's has no sensor noise")
         if records:
             cases = [RigCase(record=record, peak_acceleration=RIG_PEAK) for record in records]
             definition = definition.model_copy(update={"cases": cases})

@@ -18,7 +18,7 @@ EXAMPLES = """examples:
     --intensity 0.5 1 2 3 4 --limit d1=0.02 a3=4 --output results/fragility
   ... --models 50 --fault a1=0 a3=-1 --rig ncree_three_storey    50 models, failing sensors, interlocks
   ... --scheduler tcp://10.0.0.5:8786                            on a Dask cluster that runs already
-Interrupted, the same command goes on after the batches that are done."""
+If it is interrupted, the same command continues after the finished batches."""
 
 
 def add_fragility_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
@@ -44,7 +44,7 @@ def add_fragility_parser(commands: argparse._SubParsersAction[OneLineParser]) ->
     parser.add_argument("--models", type=int, default=1, metavar="N", help="the model and N - 1 of its covariance (1)")
     parser.add_argument("--seed", type=int, default=0, help="of the drawn models (0)")
     parser.add_argument(
-        "--fault", nargs="+", default=[], metavar="SENSOR=FACTOR", help="reading over truth; 0: dead, -1: turned around"
+        "--fault", nargs="+", default=[], metavar="SENSOR=FACTOR", help="reading over true value; 0: dead, -1: reversed"
     )
     parser.add_argument("--rig", default="", help="whose interlocks act: a name or a file")
     parser.add_argument(

@@ -20,7 +20,7 @@ factors give the peak commands of PEAK_COMMANDS, which are our choice: from half
 
 prints the weights in SI units, as the files have them, and in the paper's, with errors and margins: with the model,
 with models from other tests, and with the rig's own model. Without bags the tests are simulated. How much of LQG3's
-error is merely fitted away is told by two more searches, on the nine peaks alone and on the nine rms values alone; the
+error is merely fitted away is shown by two more searches, on the nine peaks alone and on the nine rms values alone; the
 other half is then left out.
 """
 
@@ -241,8 +241,8 @@ def main() -> None:
         on_half = search(found.reduced, trial._replace(columns=(half,)))
         table = trial.table(design(found.reduced, weights_of(on_half), SAMPLE_PERIOD))
         errors = {column: trial._replace(columns=(column,)).errors(table).mean() for column in COLUMNS}
-        told = ", ".join(f"{column} {error:.4f}" for column, error in errors.items())
-        print(f"fitted to the column {half} alone: {on_half.tolist()}, mean error {told}")
+        errors_text = ", ".join(f"{column} {error:.4f}" for column, error in errors.items())
+        print(f"fitted to the column {half} alone: {on_half.tolist()}, mean error {errors_text}")
     others = [simulated_tests(rig, seed) for seed in OTHER_SEEDS]
     for name, weights in sorted(sets.items()):
         kinds = ", ".join(f"{kind} {weight:.4e}" for kind, weight in weights.weights.model_dump().items())

@@ -48,7 +48,7 @@ def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hol
         each input's value at sample k, held (or linear) from sample k to k+1.
     """
     if model.sample_period:
-        raise AbraceError("discretize: a continuous model was expected")
+        raise AbraceError("discretize: expected a continuous model")
     n, m, period = model.order, len(model.inputs), float(sample_period)
 
     def held(span: float, column: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray]:

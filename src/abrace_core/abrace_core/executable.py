@@ -40,5 +40,5 @@ def _call_exit_handlers() -> None:
     """Call what is registered with `atexit`, and print what is not printed yet."""
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):  # nobody reads any more
+        with contextlib.suppress(OSError):  # the reader has left
             stream.flush()

@@ -100,7 +100,7 @@ def open_loop(model: LinearModel, controller: LinearModel, broken_at: str) -> Li
     whole = closed_loop(plant, controller)
     a, b = whole.a.copy(), np.zeros((whole.order, 1))
     if broken_at in controller.outputs:
-        # what the controller asks for is the output, what is in force one sample later the input
+        # the controller's command is the output, the command in force one sample later the input
         row = plant.order + controller.outputs.index(broken_at)
         returned = a[row].copy()
         a[row], b[row] = 0.0, 1.0

@@ -92,7 +92,7 @@ class Live(Checked):
     rig
         Rig file, by name or path: the frame condensed to its levels, the same devices and sensors.
     low_cut
-        Of the table's motion [Hz]: a table is at rest at its end, in the middle; 0: the record as it is.
+        Of the table's motion [Hz]: a table is at rest at its end, in the middle; 0: the unchanged record.
     """
 
     rig: str
@@ -210,7 +210,7 @@ def check_case_names(definition: Definition | RigDefinition) -> None:
         if case.name in records:
             raise AbraceError(
                 f"benchmark {definition.name}: records {records[case.name]} and {case.record}: both cases are named "
-                f"{case.name}, expected a file name or an intensity of its own for each"
+                f"{case.name}, expected a different file name or intensity for each"
             )
         records[case.name] = case.record
 
@@ -250,7 +250,7 @@ def load_definition(name: str) -> Definition | RigDefinition:
 
 
 def record_path(name: str) -> str:
-    """Where the record of a case is: a known name as it is, else a file in the folder of the benchmarks' data.
+    """Where the record of a case is: a known name unchanged, else a file in the folder of the benchmarks' data.
 
     Raises
     ------

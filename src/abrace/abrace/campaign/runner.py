@@ -302,7 +302,7 @@ class Runner:
         return [self.bag_of(test) for test in tests]
 
     def models(self, model: str, *names: str) -> list[str]:
-        """The files `names` of a `model`: an identify step or its folder; a model file stands for itself alone."""
+        """The files `names` of a `model`: an identify step or its folder; of a model file only that file."""
         if model.endswith(MODEL_FILE):
             return [model]
         folder = Path(model) if is_path(model) else self.results / model

@@ -36,7 +36,7 @@ def _doubts_of(step: StepTiming) -> list[str]:
 
 
 def doubts(timing: Timing) -> list[str]:
-    """Why tests are not to be trusted, from the campaign's `timing`; empty: all are."""
+    """Why tests cannot be trusted, from the campaign's `timing`; empty: all are."""
     return [f"{step.name}: {sentence}" for step in timing.steps for sentence in _doubts_of(step)]
 
 

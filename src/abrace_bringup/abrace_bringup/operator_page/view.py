@@ -68,7 +68,7 @@ class Events:
 
 
 def rig_view(rig: Rig) -> dict[str, Any]:
-    """What stays as it is: name, floors, groups and their capacities [kN] of a `rig`."""
+    """What does not change: name, floors, groups and their capacities [kN] of a `rig`."""
     groups = len(rig.braces)
     return {
         "name": rig.name,

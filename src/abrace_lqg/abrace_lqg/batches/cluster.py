@@ -131,7 +131,7 @@ def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
 def _without_main() -> Iterator[None]:
     """Keep processes that are started in this block from importing the script that runs, as multiprocessing has it.
 
-    They need nothing of it, and one that has no `if __name__ == "__main__":` would start all anew in each of them.
+    They need nothing of it, and a script without `if __name__ == "__main__":` would run again in each of them.
     """
     main = sys.modules["__main__"]
     hidden: dict[str, Any] = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}

@@ -161,8 +161,8 @@ def prediction_figure(proof: Proof) -> Figure:
         axis.set_ylabel(f"{kind}, rms [{shown_unit(names[0], 'SI')[1]}]")
         axis.grid(axis="y", alpha=0.3)
     figure.axes[0].legend(loc="upper left")
-    told = f"Rms predicted with {shown.name}, {shown.order} states, for a {proof.excitation}"
-    return captioned(figure, f"{told}, with zero command and controlled.")
+    heading = f"Rms predicted with {shown.name}, {shown.order} states, for a {proof.excitation}"
+    return captioned(figure, f"{heading}, with zero command and controlled.")
 
 
 def _critical_point(axis: Axes, proof: Proof) -> None:

@@ -21,7 +21,7 @@ later."""
 
 
 class RealTimeRun(threading.Thread):
-    """Runs a rig until it is told to end and all is at rest.
+    """Runs a rig until its end is requested and all is at rest.
 
     Parameters
     ----------

@@ -52,7 +52,9 @@ PEAKS = ("drift", "displacement", "acceleration", "force", "table_displacement")
 RIG_PARAMETERS = [
     Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
     Parameter("duration", 0.0, "seconds to run, then end; 0: until stopped", minimum=0.0),
-    Parameter("command_timeout", 0.02, "seconds without an input that is not zero; longer is a fault", minimum=0.002),
+    Parameter(
+        "command_timeout", 0.02, "seconds for which an input that is not zero is held; longer is a fault", minimum=0.002
+    ),
     Parameter("late_limit", 10, "samples in a row that may be late or missed; more are a fault", minimum=1),
     Parameter("stop_heartbeat", 0.0, "seconds within which every stop button must repeat; 0: off", minimum=0.0),
 ]

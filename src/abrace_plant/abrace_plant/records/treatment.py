@@ -29,7 +29,7 @@ STOPBAND = 100.0
 RESAMPLING_STOPBAND = 105.0
 """The same where the limit is half the lower sample rate, at which images of the highest frequencies add up."""
 BAND_LIMIT = 25.0
-"""Of the motions that nodes play, unless another is asked for [Hz]."""
+"""Sample rate of the motions that nodes play, unless another is given [Hz]."""
 FADE = 0.5
 """Seconds at the end of a motion that is cut, in which it comes to rest."""
 MAX_RATIO = 5000

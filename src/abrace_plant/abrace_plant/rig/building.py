@@ -49,7 +49,7 @@ class Building:
     heights
         (floors,) of the storeys [m]; empty: all alike.
     frequency_errors
-        (floors,) of a frame condensed to its levels: relative, of each mode beside the whole frame's; empty: no frame.
+        (floors,) of a frame condensed to its levels: relative error of each frequency; empty: no frame.
     """
 
     masses: NDArray[np.float64]
