@@ -155,7 +155,7 @@ def open_benchmark(name: str, records: Iterable[str] = (), noise_seed: int | Non
 
 
 class _RecordedTest(NamedTuple):
-    """The test that --bag gives: what it reached, and its motion as a case."""
+    """The test that --bag gives: its criteria, and its motion as a case."""
 
     evaluation: Evaluation
     case: RecordedCase
@@ -198,7 +198,7 @@ def _given_ones(
 
 
 def _names_of(benchmark: AnyBenchmark, given: argparse.Namespace) -> list[str]:
-    """A name for each controller that was `given`, none twice: its file's, with what was given where that is taken."""
+    """A different name for each controller `given`: its file's name, with the path where that name is taken."""
     from abrace.benchmark.laws import reference_names
 
     others = [*reference_names(benchmark), *([RECORDED] if given.bag is not None else [])]

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Qos
 
 ROSBAG2_RECORD = "rosbag2"
-"""Name of the metadata record that holds for rosbag2 what is in metadata.yaml."""
+"""Name of the metadata record with the content of metadata.yaml, for rosbag2."""
 WRITTEN_RECORDS = (FACTS_RECORD, ROSBAG2_RECORD, COUNTS_RECORD)
 """Names of the metadata records that every bag has."""
 

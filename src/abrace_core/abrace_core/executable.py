@@ -37,7 +37,7 @@ def main() -> int:
 
 
 def _call_exit_handlers() -> None:
-    """Call what is registered with `atexit`, and print what is not printed yet."""
+    """Call the functions registered with `atexit`, and flush the output."""
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):  # the reader has left

@@ -198,7 +198,7 @@ class RecordedCase:
 
 
 def check_case_names(definition: Definition | RigDefinition) -> None:
-    """Refuse a `definition` with two cases of one name: results, and what they are divided by, are kept by that name.
+    """Refuse a `definition` with two cases of one name: results and reference values are stored by that name.
 
     Raises
     ------

@@ -74,7 +74,7 @@ class LiveTopics:
                 self.rigs.append(name)
 
     def subscribe(self, besides: Collection[str]) -> None:
-        """Subscribe to what viewers look at, and to the topics `besides`, and to no others."""
+        """Subscribe to the topics that clients show and to the topics `besides`, and to no others."""
         wanted = {name for name in self._offered if self._server.wanted(name)} | set(besides)
         for name in set(self._subscriptions) - wanted:
             self._subscriptions.pop(name).close()

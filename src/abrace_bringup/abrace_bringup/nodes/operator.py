@@ -196,7 +196,7 @@ class OperatorPage(AbraceNode):
     # in the thread of actions
 
     def act(self, action: str, node: str) -> None:
-        """Do it, and note what came of it."""
+        """Carry it out, and note the result."""
         try:
             failed = [name for name, one in NodeReports(self.operator.reports).items() if one.failed]
             for name in actions.targets(action, node, self.offers, self.get_namespace(), self.rigs, failed):
@@ -207,7 +207,7 @@ class OperatorPage(AbraceNode):
             self.waiting.release()
 
     def do(self, action: str, name: str) -> str:
-        """Do it to a node; returns what it answers."""
+        """Carry it out on a node; returns the node's answer."""
         if action == "arm":
             return self.operator.arm(name)
         if action == "disarm":

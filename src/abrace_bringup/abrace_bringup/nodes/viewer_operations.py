@@ -171,7 +171,7 @@ class Operations:
         return asked.result()
 
     def _in_node(self, act: Any) -> Any:
-        """Have the node's executor call `act`; returns what that gives."""
+        """Have the node's executor call `act`; returns its result."""
         executor, done = self._node.executor, threading.Event()
         results: list[Any] = []
         refused: list[str] = []

@@ -40,7 +40,7 @@ class Pictures(Protocol):
 
 
 class Display:
-    """Sends what is made of the samples of a rig to a server.
+    """Sends messages made from the samples of a rig to a server.
 
     Parameters
     ----------

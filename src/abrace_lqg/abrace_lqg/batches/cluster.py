@@ -57,7 +57,7 @@ CONFIGURATION = {
     "distributed.admin.system-monitor.interval": "10s",
     "distributed.admin.system-monitor.gil.enabled": False,
 }
-"""Of this machine's cluster: a hundred looks a second at what a process does would cost more than its messages."""
+"""Settings of this machine's cluster: its profiler's hundred samples a second would cost more than the messages."""
 
 
 @contextlib.contextmanager

@@ -115,7 +115,7 @@ def checksum(*inputs: Any) -> str:
 
 
 def _add(found: Any, value: Any) -> None:
-    """Add a value to a hash, with what tells it from others of the same bytes."""
+    """Add a value to a hash, with its type and shape, so that different values with the same bytes differ."""
     if isinstance(value, np.ndarray):
         found.update(f"array {value.dtype.str} {value.shape}:".encode())
         found.update(np.ascontiguousarray(value).data)

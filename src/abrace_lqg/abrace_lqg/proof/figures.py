@@ -35,7 +35,7 @@ EVERY = 4
 """Of the frequencies, at which the models drawn from others are shown."""
 
 LEAST_SHOWN = 0.1
-"""Damping ratio [%] at which what has less is drawn."""
+"""Damping ratio [%] at which poles with less damping are drawn."""
 
 LINE_STYLES = ("-", "--", ":", "-.")
 """Of the signals, or of the models, in turn."""

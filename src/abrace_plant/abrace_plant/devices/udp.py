@@ -305,7 +305,7 @@ class UdpDevice:
                 return
 
     def _judge(self, packet: bytes, sender: tuple[str, int]) -> None:
-        """Keep what the packet says with its stamp and the ticks since the last good one, if it may be used."""
+        """Keep the packet's values with its stamp and the ticks since the last good one, if it may be used."""
         if sender != self._sender:
             raise Malformed("other_sender")
         content = self._samples.decode(packet)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mass and stiffness of a structure on the ground, and smaller models of it that say what they lose.
+"""Mass and stiffness of a structure on the ground, and smaller models of it with their errors.
 
     M q'' + C q' + K q = -L w + forces,     displacements = T q
 
