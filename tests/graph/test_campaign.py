@@ -248,7 +248,7 @@ def test_a_campaign_interrupted_twice_goes_on_and_has_the_results_of_one_that_wa
         _, errors = process.communicate(timeout=120)
         assert process.returncode == {signal.SIGINT: 130}.get(number, -number)
         assert "Traceback" not in errors
-        assert ("shaken: whole, kept" in errors) == (count > 1)
+        assert ("shaken: complete, kept" in errors) == (count > 1)
         assert not (results / "short").exists()
         if number == signal.SIGKILL:
             continue  # its nodes end meanwhile; the next run waits for them
@@ -259,7 +259,7 @@ def test_a_campaign_interrupted_twice_goes_on_and_has_the_results_of_one_that_wa
     process = start(tmp_path, environment, *command)
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors
-    assert "[1/2] shaken: whole, kept\n" in errors
+    assert "[1/2] shaken: complete, kept\n" in errors
     found, expected = contents(tmp_path, "short"), contents(recorded, "short")
     assert found == expected
     assert {"shaken /short/response", "pushed /short/brace_command", "nodes/shaken_plant.yaml"} <= found.keys()
@@ -283,7 +283,7 @@ def test_from_a_step_on_it_is_run_anew_and_what_fails_leaves_the_last_results(re
     _, errors = process.communicate(timeout=120)
     path.write_text(text)
     assert process.returncode == 1
-    assert "[1/2] shaken: whole, kept\n" in errors
+    assert "[1/2] shaken: complete, kept\n" in errors
     assert "excitation died (ended by SIGKILL)" in errors
     assert "Traceback" not in errors
     assert not nodes_of(recorded)
