@@ -70,9 +70,13 @@ def add_benchmark_parser(
         "--noise", type=int, metavar="SEED", help="run a frame's sensors with the benchmark's noise, of this seed"
     )
     benchmark.add_argument(
-        "--trade-off", action="store_true", help="also draw what more force would give abrace's own law, on a frame"
+        "--trade-off",
+        action="store_true",
+        help="also draw responses and margins of abrace's own law over force, on a frame",
     )
-    benchmark.add_argument("--export", type=Path, metavar="FOLDER", help="only write model, motions and laws there")
+    benchmark.add_argument(
+        "--export", type=Path, metavar="FOLDER", help="only write model, motions and laws into this folder"
+    )
 
 
 def benchmark_command(given: argparse.Namespace) -> None:

@@ -87,8 +87,8 @@ def parser() -> OneLineParser:
         "set", help="set a parameter of a running node", example="abrace set controller next lqg2.yaml"
     )
     setting.add_argument("node", help="such as controller, or /rig/controller")
-    setting.add_argument("parameter", help="such as next")
-    setting.add_argument("value", help="such as lqg2.yaml")
+    setting.add_argument("parameter", help="name of the parameter, such as next")
+    setting.add_argument("value", help="new value, such as lqg2.yaml")
     demo = commands.add_parser(
         DEMO,
         help="the paper's tests, identification, design and comparison on the simulated rig",

@@ -215,7 +215,9 @@ def factor_for(
 def main() -> None:
     """Search, and print the weights with their errors and margins."""
     parser = argparse.ArgumentParser(description="Fit the weights of LQG1 to LQG5 on the identified model.")
-    parser.add_argument("bags", nargs="*", metavar="BAG", help="table test and command test (default: simulated ones)")
+    parser.add_argument(
+        "bags", nargs="*", metavar="BAG", help="bags of a table test and a command test (default: simulated tests)"
+    )
     bags = parser.parse_args().bags
     if len(bags) not in (0, 2):
         parser.error(f"{len(bags)} bags, expected a table test and a command test, or none")
