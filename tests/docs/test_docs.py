@@ -53,6 +53,11 @@ def test_every_page_is_in_the_site():
     )  # fmt: skip
 
 
+def test_every_figure_is_on_a_page():
+    text = "".join(page.read_text() for page in [*PAGES, *(ROOT / "docs").glob("*.ipynb")])
+    assert not [path.name for path in (ROOT / "docs/figures").iterdir() if path.name not in text]
+
+
 def test_the_citation_has_the_version_and_the_licence_of_the_packages():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     for package in (ROOT / "src").glob("*/package.xml"):
