@@ -129,7 +129,7 @@ def test_two_answers_to_a_sample_are_a_fault(bench):
     bench.step()
     bench.answer(1.0)
     bench.answer(1.0)
-    assert "one sender was expected" in bench.safety.cause
+    assert "expected one sender" in bench.safety.cause
 
 
 def test_a_fault_of_the_sender_is_one_of_the_rig(bench):

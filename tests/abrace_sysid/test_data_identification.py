@@ -152,7 +152,7 @@ def test_an_output_that_does_not_answer_is_left_out_and_named(data):
         ),
         (
             lambda d: MeasuredData(d.source, d.sample_period, d.inputs, d.names, d.excitation[:, [0, 0]], d.outputs),
-            "zero or repeats another",
+            "zero, or repeats another",
         ),
         (
             lambda d: MeasuredData(d.source, d.sample_period, d.inputs, d.names, d.excitation, np.nan * d.outputs),
