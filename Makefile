@@ -57,7 +57,7 @@ docs: tools .venv/.docs  ## the documentation as a site: docs/site/index.html
 	@$(ENVIRONMENT)
 	python -m sphinx --quiet --fail-on-warning --keep-going -j auto -b html docs docs/site
 
-reference: setup  ## write the pages of docs anew that are made from the code (docs/write_*.py)
+reference: setup  ## regenerate the pages of docs that are made from the code (docs/write_*.py)
 	@$(ENVIRONMENT)
 	for page in docs/write_*.py; do python "$$page"; done
 
@@ -89,7 +89,7 @@ verify: tools  ## accuracy claims, measured: results/verify.json
 	@$(ENVIRONMENT)
 	python benchmarks/verify.py $(if $(RECORD),--record $(RECORD)) $(if $(MEASURED),--measured $(MEASURED)) $(PARTS)
 
-bench: tools  ## speed claims beside their peers: results/bench.json
+bench: tools  ## speed claims, compared with other programs: results/bench.json
 	@$(ENVIRONMENT)
 	python benchmarks/bench.py
 

@@ -24,14 +24,14 @@ LAUNCH_FILES = {"closed_loop": graphs.CLOSED_LOOP, "identification": graphs.IDEN
 
 INTRODUCTION = f"""# Commands
 
-Written by `python docs/write_commands.py` from what reads the commands. `--help` behind any of them says the same.
+Written by `python docs/write_commands.py` from the commands' parsers; `--help` after a command prints the same.
 Nodes and their parameters: [nodes](nodes.md).
 
 | exit code | of every command and node |
 |---|---|
 | 0 | done, or ended by Ctrl-C or SIGTERM (a node) |
-| {cli.FAILED} | something failed while it ran, or its results are not to be trusted |
-| {cli.WRONG_INPUT} | something that was given is wrong; one line says what, where and what was expected |
+| {cli.FAILED} | something failed while it ran, or its results cannot be trusted |
+| {cli.WRONG_INPUT} | an input is wrong; one line states what, where, and what was expected |
 | 130 | `abrace` was ended by Ctrl-C |
 """
 
@@ -78,7 +78,7 @@ def _form(action: argparse.Action) -> str:
 
 
 def _text(action: argparse.Action) -> str:
-    notes = ["has to be given"] if action.option_strings and action.required else []
+    notes = ["required"] if action.option_strings and action.required else []
     notes += ["several"] if action.nargs in ("+", "*", "...") else []
     return "; ".join([action.help or "", *notes])
 
@@ -115,7 +115,7 @@ def page() -> str:
     ours = [arguments(main), *(section(each, about[each.prog]) for each in commands(main))]
     target = section(
         emulator.arguments(),
-        "A rig behind a device file: `abrace run abrace_plant emulator` ([emulator](bridge.md#the-emulator)).",
+        "A rig behind a device file: `abrace run abrace_plant emulator` ([emulator](bridge.md#the-emulator))",
     )
     launches = [launch_section(name, table) for name, table in LAUNCH_FILES.items()]
     of_launch = "## Launch files\n\nWhat ends a launch, a real rig, further parameters: [launch files](launch.md).\n"

@@ -25,19 +25,19 @@ EXPECTED = "ValueError"
 
 INTRODUCTION = """# Messages of errors
 
-Written by `python docs/write_errors.py` from the source: every message with which something is refused or ends, and
-every fault and error that a node logs. `<path>` stands for what the message names. To find yours, search this page for
-words of it that are no names or numbers; what to do about the usual ones is in [troubleshooting](troubleshooting.md).
+Written by `python docs/write_errors.py` from the source: every message with which an input is refused or a program
+ends, and every fault and error that a node logs. `<path>` is a placeholder for a name or number. To find your message,
+search this page for its other words; what to do about the usual ones is in [troubleshooting](troubleshooting.md).
 
-A message has one line: what, where, what was expected. Mistakes in a file that people write are told together,
-separated by `;`, in one of these forms:
+A message is one line: what is wrong, where, and what was expected. All mistakes in a file are reported together,
+separated by `;`, in these forms:
 
 - `<kind> file <path>: <key>: <value>, expected <what>`
 - `<kind> file <path>: <key>: unknown key, did you mean <key>?`
 - `<kind> file <path>: <key>: key is missing`
 
-and those of a node's parameters as `parameter <name>: <value>, expected <what>`. The exit code is 2; behind an arrow
-(→ 1) it is 1: what was given may be right, and something failed while it ran.
+and mistakes in a node's parameters as `parameter <name>: <value>, expected <what>`. The exit code is 2;
+where the message is followed by → 1 it is 1: the input may be right, and something failed while the program ran.
 """
 
 

@@ -42,7 +42,7 @@ unknown key, a value of another type or one out of its range is refused, in one 
 value and what was expected.
 
 `a.b` is the key `b` in `a`. `a[].b` is `b` of each entry of the list `a`. In `a.*.b` the star is one of the names in
-the line `a.*`, or a name that you choose. A key without a default has to be given; one with the default "none" may be
+the line `a.*`, or a name that you choose. A key without a default is required; one with the default "none" may be
 left out. Units are those of the SI unless the meaning gives another. More on the keys is on the page that is linked
 above each table.
 """
@@ -102,7 +102,7 @@ WRITTEN_BY_ABRACE = (
     Described(
         "steps.json",
         {"": done._File},
-        "In a campaign's results: which steps are done, with checksums of what they took and made.",
+        "In a campaign's results: which steps are complete, with checksums of their inputs and outputs.",
     ),
     *(
         Described(f"Results: {title}", {"": schema}, "What the report reads of a step's results ([report](report.md)).")

@@ -76,7 +76,7 @@ NODES = {
         "1 if nodes did not find each other, there was a fault, or a signal was interrupted.",
     },
     "abrace_bringup": {
-        "viewer": "Takes every topic that a viewer looks at, and `/diagnostics`; publishes `markers` for RViz and, "
+        "viewer": "Takes the topics that its clients show, and `/diagnostics`; publishes `markers` for RViz and, "
         "with `operate`, a stop. Serves the topics to Foxglove and Lichtblick, and a page to browsers: viewer.md.",
         "operator": "Takes `response`, `/diagnostics`; publishes `/emergency_stop`, pressed or not, ten times a "
         "second. Calls services of the nodes in its namespace: operator.md.",

@@ -45,7 +45,7 @@ such a button as well, wired to the hydraulics.
 END = """
 A fault and a stop outlast the life cycle: a latched rig can be deactivated, cleaned up and configured again,
 and is still latched; `activate` is refused until a person calls `clear_fault`. That is refused while force or table are
-still on the way to zero, while an input still asks for a force or a motion, or while its sender reports a fault of its
+still on the way to zero, while an input still requests a force or a motion, or while its sender reports a fault of its
 own.
 
 ## How it is tested

@@ -156,7 +156,7 @@ def test_braces_may_be_disconnected_in_tests_that_are_used_together(tmp_path):
     path.write_text(text.partition("  - name: lqg3")[0])
     campaign = load_campaign(path)
     assert [step.task.disconnected_braces for step in campaign.steps[:2]] == [(1,), (1,)]
-    with pytest.raises(AbraceError, match=r"command_noise: test\.disconnected_braces: commands to braces of which"):
+    with pytest.raises(AbraceError, match=r"command_noise: test\.disconnected_braces: commands to braces that are"):
         CheckedCampaign(campaign)
     path.write_text(text.partition("  - name: model")[0].replace("[1]", "[2]"))
     with pytest.raises(

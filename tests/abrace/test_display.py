@@ -68,7 +68,7 @@ def test_what_has_ended_stands_above_the_display_as_plain_lines(terminal):
             now[0] += 83.0
         with pytest.raises(KeyboardInterrupt), display.step("model"):
             raise KeyboardInterrupt
-    assert "[1/3] noise: whole, kept" in written.getvalue()
+    assert "[1/3] noise: complete, kept" in written.getvalue()
     assert "[2/3] shaken: done in 1:23, 6.3 x real time" in written.getvalue()
     assert "[3/3] model: stopped after 0:00" in written.getvalue()
     assert drawn() == "day\n"

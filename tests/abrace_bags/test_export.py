@@ -103,7 +103,7 @@ def arrays(**fields: Any) -> TopicArrays:
 def test_what_no_table_can_hold_is_refused(tmp_path: Path) -> None:
     ragged = np.empty(3, object)
     ragged[:] = [np.zeros(1), np.zeros(2), np.zeros(1)]
-    with pytest.raises(AbraceError, match="values has not the same length in all messages"):
+    with pytest.raises(AbraceError, match="values does not have the same length in all messages"):
         write_csv(tmp_path / "out.csv", [arrays(values=ragged)])
     with pytest.raises(AbraceError, match="are both a_b in MATLAB"):
         write_mat(tmp_path / "out.mat", {"/a/b": arrays(x=[1, 2, 3]), "/a_b": arrays(x=[1, 2, 3])}, {})

@@ -158,7 +158,7 @@ def test_a_round_of_a_loop_begins_one_mean_interval_after_the_last_message(rate:
 
 
 def test_a_loop_of_one_instant_is_refused() -> None:
-    with pytest.raises(AbraceError, match="parameter loop: all messages to replay are of one time"):
+    with pytest.raises(AbraceError, match="parameter loop: all messages to replay have the same time"):
         BagPlayback(messages(5, 5), 1.0, loop=True)
 
 

@@ -159,7 +159,7 @@ def test_value_that_is_not_finite_is_named(tmp_path: Path, name: str, value: flo
 
 
 def test_sizes_that_change_or_disagree_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(AbraceError, match="displacement has not the same number of values in all samples"):
+    with pytest.raises(AbraceError, match="displacement does not have the same number of values in all samples"):
         read_run(write(tmp_path / "changing", [response(0), response(1, floors=3)], {}))
     messages = [response(k) for k in range(3)]
     for message in messages:

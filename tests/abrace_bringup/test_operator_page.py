@@ -221,7 +221,7 @@ def test_beyond_this_machine_token_and_tls_are_needed_and_each_mistake_is_named(
         ({"address": "192.0.2.1", "token_file": ""}, "address: 192.0.2.1, beyond this machine"),
         ({"address": "lab"}, "address: lab, expected an IP address"),
         ({"hosts": []}, "hosts: not given, expected the names"),
-        ({"key": ""}, "key: not given, expected a file beside the certificate"),
+        ({"key": ""}, "key: not given, expected a file, because certificate is given"),
         ({"key": str(keys / "no")}, "key: .*no such file"),
         ({"key": str(keys / "cert.pem")}, "certificate: .*expected a certificate and its key in PEM"),
         ({"token_file": str(keys / "no")}, "token_file: .*No such file or directory"),

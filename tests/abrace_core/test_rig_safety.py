@@ -200,8 +200,8 @@ def test_a_fault_outlives_the_life_cycle():
 
 def test_it_is_not_cleared_while_an_input_moves():
     safety = latched()
-    with pytest.raises(AbraceError, match="brace_command still asks for 8900, expected every input at rest first"):
-        safety.clear("brace_command still asks for 8900")
+    with pytest.raises(AbraceError, match="brace_command still requests 8900, expected every input at rest first"):
+        safety.clear("brace_command still requests 8900")
     assert safety.state is State.LATCHED
 
 

@@ -113,9 +113,9 @@ def test_superposition_holds():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: discretize(discretize(oscillator(), PERIOD), PERIOD), "continuous model was expected"),
+        (lambda: discretize(discretize(oscillator(), PERIOD), PERIOD), "expected a continuous model"),
         (lambda: discretize(oscillator(0.01), PERIOD, {"u": "first"}), "input u has a delay"),
-        (lambda: simulate(oscillator(), np.zeros((5, 1))), "discrete model was expected"),
+        (lambda: simulate(oscillator(), np.zeros((5, 1))), "expected a discrete model"),
         (lambda: simulate(discretize(oscillator(), PERIOD), np.zeros((5, 2))), "expected .samples, 1."),
         (lambda: simulate(discretize(oscillator(), PERIOD), np.zeros(5)), "expected .samples, 1."),
     ],

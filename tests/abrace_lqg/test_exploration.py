@@ -367,7 +367,7 @@ def test_the_figure_marks_the_given_weights_and_the_picked_set(outcomes):
 def test_the_report_lists_the_front_from_least_to_most_force(outcomes):
     lines = report(outcomes, 0.9)
     split = lines.index(
-        "most robust, with no more command rms than the given weights and the margins that design asks for:"
+        "most robust, with no more command rms than the given weights and the margins that design requires:"
     )
     rows, robust = (
         [line.split() for line in part if line[2:5].strip().isdigit() and "(" not in line]

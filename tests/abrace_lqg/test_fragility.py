@@ -173,7 +173,7 @@ def test_batches_are_fixed_by_the_study_and_hold_every_case_once(monkeypatch):
     ("change", "expected"),
     [
         ({"intensities": (1.0, 1.0)}, "expected numbers above 0 that rise"),
-        ({"controllers": (controller(), controller())}, "expected a name of its own for each"),
+        ({"controllers": (controller(), controller())}, "expected a different name for each"),
         ({"faults": (Fault("a7", 0.0),)}, "fault a7=0: no controller measures a7, expected one of a1"),
         ({"sample_period": 0.01}, "every 0.002 s, expected the motions' 0.01 s"),
         ({"models": ()}, "no models"),

@@ -107,7 +107,7 @@ def test_measured_data_are_judged_by_what_is_left_over_and_by_what_was_held_out(
     # the tail of the mode above half the sample rate is not quite that of the pairs that stand for it
     assert [(reason.check, reason.verdict) for reason in judged.validity.reasons] in ([], [("whiteness", Verdict.CARE)])
     checks = {finding.check for finding in judged.validity.findings}
-    assert {"channels that answer", "spikes", "residual", "whiteness", "independence", "prediction"} <= checks
+    assert {"channels respond", "spikes", "residual", "whiteness", "independence", "prediction"} <= checks
     (residual,) = judged.residuals
     assert np.median(residual.ratio.mean(axis=0)) == pytest.approx(1.0, abs=0.2)
     assert "held_out is 0" in judge_data(used, found, data.part(0, 0)).validity.not_checked["prediction"]
@@ -152,7 +152,7 @@ def test_an_output_that_does_not_answer_is_left_out_and_named(data):
         ),
         (
             lambda d: MeasuredData(d.source, d.sample_period, d.inputs, d.names, d.excitation[:, [0, 0]], d.outputs),
-            "zero or repeats another",
+            "zero, or repeats another",
         ),
         (
             lambda d: MeasuredData(d.source, d.sample_period, d.inputs, d.names, d.excitation, np.nan * d.outputs),

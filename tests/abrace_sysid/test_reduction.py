@@ -90,7 +90,7 @@ def test_errors_of_all_orders_end_at_zero(model):
 
 
 def test_models_that_cannot_be_balanced_are_refused(model):
-    with pytest.raises(AbraceError, match="stable model was expected"):
+    with pytest.raises(AbraceError, match="expected a continuous, stable model"):
         balanced_truncation(replace(model, a=-model.a), 2, UNITS)
     with pytest.raises(AbraceError, match="continuous"):
         balanced_truncation(replace(model, a=0.1 * np.eye(6), sample_period=0.002, input_delay=()), 2, UNITS)

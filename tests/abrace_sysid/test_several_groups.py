@@ -135,7 +135,7 @@ def test_a_group_tested_alone_and_with_the_other_is_refused(five, rest, table):
 
 def test_groups_excited_by_the_same_noise_are_refused(five, rest, table):
     both = Laboratory(five, 2).open_loop("bags/same", rest, np.column_stack([noise(1, RMS), noise(1, RMS)]))
-    with pytest.raises(AbraceError, match="zero or repeats another"):
+    with pytest.raises(AbraceError, match="zero, or repeats another"):
         identify(table, both, OPTIONS)
 
 

@@ -53,6 +53,11 @@ def test_every_page_is_in_the_site():
     )  # fmt: skip
 
 
+def test_every_figure_is_on_a_page():
+    text = "".join(page.read_text() for page in [*PAGES, *(ROOT / "docs").glob("*.ipynb")])
+    assert not [path.name for path in (ROOT / "docs/figures").iterdir() if path.name not in text]
+
+
 def test_the_citation_has_the_version_and_the_licence_of_the_packages():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     for package in (ROOT / "src").glob("*/package.xml"):
@@ -63,9 +68,13 @@ def test_the_citation_has_the_version_and_the_licence_of_the_packages():
 
 
 def test_the_citation_names_the_paper_as_the_references_do():
-    (paper,) = yaml.safe_load((ROOT / "CITATION.cff").read_text())["references"]
-    assert {"type", "title", "authors"} <= set(paper), "keys that the format asks for"
+    paper, article = yaml.safe_load((ROOT / "CITATION.cff").read_text())["references"]
     text = " ".join((ROOT / "docs/references.md").read_text().split())
+    for each in (paper, article):
+        assert {"type", "title", "authors"} <= set(each), "keys that the format asks for"
+        assert each["title"] in text
+    pages = f"*{article['journal']}* {article['volume']}, {article['start']}-{article['end']}"
+    assert pages in text
     assert f"*{paper['title']}.*" in text
     assert "NSC88-2211-E032-002" in paper["notes"]
     assert paper["url"].removeprefix("http://") in text

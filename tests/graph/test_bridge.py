@@ -187,7 +187,7 @@ def test_hardware_is_zeroed_at_rest_alone_and_a_target_that_freezes_is_a_latched
     drive(rig)
     refused = zero(rig)
     assert not refused.success
-    assert "brace_command still asks for" in refused.message
+    assert "brace_command still requests" in refused.message
     assert calibration.read_bytes() == before
     assert {response.state for response in rig.responses} == {Response.RUNNING}
 

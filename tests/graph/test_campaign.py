@@ -176,7 +176,7 @@ def test_a_law_and_a_rig_of_ones_own_run_in_a_campaign_and_the_law_is_in_its_tab
     process = start(tmp_path, environment, "campaign", str(path))
     output, errors = process.communicate(timeout=120)
     # by the clock of a machine that stood still samples are missing, which is said
-    assert process.returncode == ("not to be trusted: watched: " in errors), errors
+    assert process.returncode == ("cannot be trusted: watched: " in errors), errors
     assert "Without and with sky: white_noise" in output
     (bags,) = (tmp_path / "bags/short").iterdir()
     assert abs(read_run(bags / "damped").command).max() == 50.0
@@ -248,17 +248,18 @@ def test_a_campaign_interrupted_twice_goes_on_and_has_the_results_of_one_that_wa
         _, errors = process.communicate(timeout=120)
         assert process.returncode == {signal.SIGINT: 130}.get(number, -number)
         assert "Traceback" not in errors
-        assert ("shaken: whole, kept" in errors) == (count > 1)
+        assert ("shaken: complete, kept" in errors) == (count > 1)
         assert not (results / "short").exists()
         if number == signal.SIGKILL:
             continue  # its nodes end meanwhile; the next run waits for them
         assert not nodes_of(tmp_path)
-        assert "1 of 2 steps are whole, in results/_unfinished/short; the same command goes on with pushed" in errors
+        assert "1 of 2 steps are complete, in results/_unfinished/short; " in errors
+        assert "the same command continues with pushed" in errors
         assert (grown()[-1].parent / "metadata.yaml").exists()
     process = start(tmp_path, environment, *command)
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors
-    assert "[1/2] shaken: whole, kept\n" in errors
+    assert "[1/2] shaken: complete, kept\n" in errors
     found, expected = contents(tmp_path, "short"), contents(recorded, "short")
     assert found == expected
     assert {"shaken /short/response", "pushed /short/brace_command", "nodes/shaken_plant.yaml"} <= found.keys()
@@ -282,7 +283,7 @@ def test_from_a_step_on_it_is_run_anew_and_what_fails_leaves_the_last_results(re
     _, errors = process.communicate(timeout=120)
     path.write_text(text)
     assert process.returncode == 1
-    assert "[1/2] shaken: whole, kept\n" in errors
+    assert "[1/2] shaken: complete, kept\n" in errors
     assert "excitation died (ended by SIGKILL)" in errors
     assert "Traceback" not in errors
     assert not nodes_of(recorded)
@@ -306,7 +307,7 @@ def test_a_test_that_is_not_to_be_trusted_sets_the_exit_code_and_a_fault_ends_th
     process = start(tmp_path, environment, "campaign", str(path))
     output, errors = process.communicate(timeout=120)
     assert process.returncode == 1
-    assert "abrace: not to be trusted: shaken: w: " in errors
+    assert "abrace: cannot be trusted: shaken: w: " in errors
     assert "What happened in the tests" in output
     summary = json.loads((tmp_path / "results/short/summary.json").read_text())
     assert summary["happened"]["shaken"]["clipped"]["w"] > 10
@@ -317,7 +318,7 @@ def test_a_test_that_is_not_to_be_trusted_sets_the_exit_code_and_a_fault_ends_th
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 1
     assert "a1: stuck at" in errors
-    assert "0 of 1 steps are whole, in results/_unfinished/short" in errors
+    assert "0 of 1 steps are complete, in results/_unfinished/short" in errors
     assert "Traceback" not in errors
     assert json.loads((tmp_path / "results/short/summary.json").read_text()) == summary
 

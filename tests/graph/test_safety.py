@@ -56,7 +56,7 @@ class Bench:
         assert reason in self.hand.responses[-1].cause
         refused = self.graph.clear_fault("plant")
         assert not refused.success
-        assert refused.message == "brace_command still asks for 20000, expected every input at rest first"
+        assert refused.message == "brace_command still requests 20000, expected every input at rest first"
         self.hand.hold(0.0, 2)
         answer = self.graph.clear_fault("plant")
         assert answer.success, answer.message

@@ -207,7 +207,7 @@ def test_rviz_gets_columns_braces_and_forces_while_it_has_subscribed(graph: Any)
 def test_a_campaign_that_is_watched_has_a_page_meanwhile_and_says_where(capsys: pytest.CaptureFixture) -> None:
     rig_file = find_file("five_storey", "abrace_plant", "config", ".yaml", "rig")
     with watched(rig_file, ["port:=0", "page_port:=0"]):
-        page = capsys.readouterr().err.removeprefix("watch: ").strip()
+        page = re.match(r"watch: (\S+)", capsys.readouterr().err)[1]
         with urllib.request.urlopen(f"{page}rig.json") as answer:
             assert json.load(answer)["floors"] == 5
     with pytest.raises(urllib.error.URLError):

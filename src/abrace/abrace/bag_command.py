@@ -63,9 +63,15 @@ def add_bag_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
             action.add_argument("--check", action="store_true", help="read everything, to find damage in any chunk")
         else:
             action.add_argument(
-                "--start-offset", type=float, default=0.0, metavar="S", help="s after the first message"
+                "--start-offset",
+                type=float,
+                default=0.0,
+                metavar="S",
+                help="seconds after the first message at which to begin",
             )
-            action.add_argument("--duration", type=float, default=0.0, metavar="S", help="s from there; 0: to the end")
+            action.add_argument(
+                "--duration", type=float, default=0.0, metavar="S", help="seconds from there; 0: to the end"
+            )
             action.add_argument("--output", type=Path, required=True, metavar="FILE", help="file to write")
 
 

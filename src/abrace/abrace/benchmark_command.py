@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`abrace benchmark`: a controller on a benchmark building or rig, beside the reference controllers."""
+"""`abrace benchmark`: a controller on a benchmark building or rig, compared with the reference controllers."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 RESULTS = Path("results/benchmark")
 RECORDED = "recorded"
-"""Name of the test that --bag gives, beside controllers."""
+"""Name of the test that --bag gives, among controllers."""
 EXAMPLES = """examples:
   abrace benchmark ncree_three_storey                          LQG1 to LQG5: results/benchmark/ncree_three_storey
-  abrace benchmark ncree_three_storey --controller mine.yaml   a controller file beside them
+  abrace benchmark ncree_three_storey --controller mine.yaml   and a controller file
   abrace benchmark ncree_three_storey --controller skyhook/skyhook   a node, in the live graph in lockstep
   abrace benchmark ncree_three_storey --bag bags/lqg3 --uncontrolled bags/free   a recorded test
   BENCHMARK_DATA=folder abrace benchmark sac_la_20 --controller mine.yaml        with the records in folder/records
-  abrace benchmark sac_la_20 --record el_centro                any record; uncontrolled values of its own
+  abrace benchmark sac_la_20 --record el_centro                any record, with its own uncontrolled values
   abrace benchmark ncree_three_storey --export shared          model, motions and laws for other programs"""
 RIG_PEAK = 0.980665
 """Of a record given for a rig, or for a rig without a benchmark file: 0.1 g [m/s^2]."""
@@ -42,7 +42,9 @@ def add_benchmark_parser(
 ) -> None:
     """Add `benchmark` to the command's `commands`; `completed` has the shell complete its name."""
     benchmark = commands.add_parser(
-        "benchmark", help="criteria J1 to J17 of a controller on a benchmark, beside reference ones", epilog=EXAMPLES
+        "benchmark",
+        help="criteria J1 to J17 of a controller on a benchmark, compared with reference controllers",
+        epilog=EXAMPLES,
     )
     completed(
         benchmark.add_argument("name", help="a benchmark or a rig, by name or file: sac_la_20, ncree_three_storey")
@@ -69,9 +71,13 @@ def add_benchmark_parser(
         "--noise", type=int, metavar="SEED", help="run a frame's sensors with the benchmark's noise, of this seed"
     )
     benchmark.add_argument(
-        "--trade-off", action="store_true", help="also draw what more force would give abrace's own law, on a frame"
+        "--trade-off",
+        action="store_true",
+        help="also draw responses and margins of abrace's own law over force, on a frame",
     )
-    benchmark.add_argument("--export", type=Path, metavar="FOLDER", help="only write model, motions and laws there")
+    benchmark.add_argument(
+        "--export", type=Path, metavar="FOLDER", help="only write model, motions and laws into this folder"
+    )
 
 
 def benchmark_command(given: argparse.Namespace) -> None:
@@ -143,7 +149,7 @@ def open_benchmark(name: str, records: Iterable[str] = (), noise_seed: int | Non
         definition = RigDefinition(name=plain[:64], rig=name, duration=100.0, cases=[case])
     if isinstance(definition, RigDefinition):
         if noise_seed is not None:
-            raise AbraceError("--noise: given with a rig, expected a benchmark of a frame: a rig's runs are linear")
+            raise AbraceError("--noise: given with a rig, expected a benchmark of a frame; a rig's has no sensor noise")
         if records:
             cases = [RigCase(record=record, peak_acceleration=RIG_PEAK) for record in records]
             definition = definition.model_copy(update={"cases": cases})
@@ -155,7 +161,7 @@ def open_benchmark(name: str, records: Iterable[str] = (), noise_seed: int | Non
 
 
 class _RecordedTest(NamedTuple):
-    """The test that --bag gives: what it reached, and its motion as a case."""
+    """The test that --bag gives: its criteria, and its motion as a case."""
 
     evaluation: Evaluation
     case: RecordedCase
@@ -198,7 +204,7 @@ def _given_ones(
 
 
 def _names_of(benchmark: AnyBenchmark, given: argparse.Namespace) -> list[str]:
-    """A name for each controller that was `given`, none twice: its file's, with what was given where that is taken."""
+    """A different name for each controller `given`: its file's name, with the path where that name is taken."""
     from abrace.benchmark.laws import reference_names
 
     others = [*reference_names(benchmark), *([RECORDED] if given.bag is not None else [])]

@@ -62,7 +62,7 @@ def parser() -> OneLineParser:
         "noise:=[1,2,3,4] output:=results/exploration",
     )
     explore.add_argument(
-        "parameters", nargs="+", metavar="NAME:=VALUE", help="`abrace run abrace_lqg explore --help` has them"
+        "parameters", nargs="+", metavar="NAME:=VALUE", help="as `abrace run abrace_lqg explore --help` lists them"
     )
     campaign = commands.add_parser(
         "campaign", help="run the steps of a campaign file, then report", example="abrace campaign my_day.yaml"
@@ -91,8 +91,8 @@ def parser() -> OneLineParser:
         "set", help="set a parameter of a running node", example="abrace set controller next lqg2.yaml"
     )
     setting.add_argument("node", help="such as controller, or /rig/controller")
-    setting.add_argument("parameter", help="such as next")
-    setting.add_argument("value", help="such as lqg2.yaml")
+    setting.add_argument("parameter", help="name of the parameter, such as next")
+    setting.add_argument("value", help="new value, such as lqg2.yaml")
     demo = commands.add_parser(
         DEMO,
         help="the paper's tests, identification, design and comparison on the simulated rig",
@@ -180,7 +180,7 @@ def _carry_out(given: argparse.Namespace) -> int:
         outcome = run_campaign(path, start)
     print(outcome.tables, flush=True)
     for doubt in outcome.doubts:
-        print(f"abrace: not to be trusted: {doubt}", file=sys.stderr)
+        print(f"abrace: cannot be trusted: {doubt}", file=sys.stderr)
     if given.watch:
         _watch_last(path, outcome.results)
     return FAILED if outcome.doubts else 0

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def complete(parser: argparse.ArgumentParser) -> None:
-    """Answer a shell that asks, by the `parser`'s arguments, and end the process; nothing where none asks."""
+    """Complete a shell's command line by the `parser`'s arguments, and end the process; otherwise do nothing."""
     if "_ARGCOMPLETE" not in os.environ:
         return
     import argcomplete  # imports for a tenth of a second

@@ -20,7 +20,7 @@ EXAMPLES = """examples:
     --intensity 0.5 1 2 3 4 --limit d1=0.02 a3=4 --output results/fragility
   ... --models 50 --fault a1=0 a3=-1 --rig ncree_three_storey    50 models, failing sensors, interlocks
   ... --scheduler tcp://10.0.0.5:8786                            on a Dask cluster that runs already
-Interrupted, the same command goes on after the batches that are done."""
+If it is interrupted, the same command continues after the finished batches."""
 
 
 def add_fragility_parser(commands: argparse._SubParsersAction[OneLineParser]) -> None:
@@ -36,23 +36,37 @@ def add_fragility_parser(commands: argparse._SubParsersAction[OneLineParser]) ->
     )
     parser.add_argument("--record", nargs="+", default=[], metavar="NAME", help="ground motions: known names or files")
     parser.add_argument("--noise", nargs="+", default=[], metavar="SEED", type=int, help="banded noise of these seeds")
-    parser.add_argument("--noise-duration", type=float, default=40.0, metavar="S", help="s (40)")
+    parser.add_argument(
+        "--noise-duration", type=float, default=40.0, metavar="S", help="length of each noise motion, s (40)"
+    )
     parser.add_argument(
         "--intensity", nargs="+", type=float, required=True, metavar="A", help="peak accelerations, m/s², rising"
     )
     parser.add_argument(
-        "--limit", nargs="+", required=True, metavar="NAME=VALUE", help="of x1, d1 (drift), xf, a1, f, U: m, m/s², N"
+        "--limit",
+        nargs="+",
+        required=True,
+        metavar="NAME=VALUE",
+        help="limits of x1, d1 (drift), xf, a1, f, U, in m, m/s², N",
     )
-    parser.add_argument("--models", type=int, default=1, metavar="N", help="the model and N - 1 of its covariance (1)")
-    parser.add_argument("--seed", type=int, default=0, help="of the drawn models (0)")
     parser.add_argument(
-        "--fault", nargs="+", default=[], metavar="SENSOR=FACTOR", help="reading over truth; 0: dead, -1: turned around"
+        "--models",
+        type=int,
+        default=1,
+        metavar="N",
+        help="number of models: the given one, and N - 1 drawn from its covariance (1)",
     )
-    parser.add_argument("--rig", default="", help="whose interlocks act: a name or a file")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the drawn models (0)")
     parser.add_argument(
-        "--scheduler", default="", metavar="ADDRESS", help="of a Dask cluster; else this machine's cores"
+        "--fault", nargs="+", default=[], metavar="SENSOR=FACTOR", help="reading over true value; 0: dead, -1: reversed"
     )
-    parser.add_argument("--workers", type=int, metavar="N", help="processes of this machine (its cores)")
+    parser.add_argument("--rig", default="", help="rig whose interlocks act: a name or a file")
+    parser.add_argument(
+        "--scheduler", default="", metavar="ADDRESS", help="address of a Dask scheduler (this machine's cores)"
+    )
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="number of processes on this machine (one for each core)"
+    )
     parser.add_argument("--output", type=Path, default=Path("results/fragility"), help="folder (results/fragility)")
 
 

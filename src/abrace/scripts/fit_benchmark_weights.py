@@ -48,7 +48,7 @@ START = (0.4, -2.25, -0.15)
 LARGEST_STEP, LEAST_STEP, SEED = 0.3, 0.02, 1
 ADAPTATIONS, FIRST_ADAPTATIONS = 3, 8
 SHARE_OF_PEAK, TOLERANCE = 0.985, 1.005
-"""Of the sample controller's peak force, that all devices are to reach, and what may be more of it."""
+"""Share of the sample controller's peak force that all devices are to reach, and the tolerance above it."""
 GAIN_MARGIN, DISK_MARGIN = 7.0, 0.34
 
 

@@ -20,7 +20,7 @@ factors give the peak commands of PEAK_COMMANDS, which are our choice: from half
 
 prints the weights in SI units, as the files have them, and in the paper's, with errors and margins: with the model,
 with models from other tests, and with the rig's own model. Without bags the tests are simulated. How much of LQG3's
-error is merely fitted away is told by two more searches, on the nine peaks alone and on the nine rms values alone; the
+error is merely fitted away is shown by two more searches, on the nine peaks alone and on the nine rms values alone; the
 other half is then left out.
 """
 
@@ -215,7 +215,9 @@ def factor_for(
 def main() -> None:
     """Search, and print the weights with their errors and margins."""
     parser = argparse.ArgumentParser(description="Fit the weights of LQG1 to LQG5 on the identified model.")
-    parser.add_argument("bags", nargs="*", metavar="BAG", help="table test and command test (default: simulated ones)")
+    parser.add_argument(
+        "bags", nargs="*", metavar="BAG", help="bags of a table test and a command test (default: simulated tests)"
+    )
     bags = parser.parse_args().bags
     if len(bags) not in (0, 2):
         parser.error(f"{len(bags)} bags, expected a table test and a command test, or none")
@@ -241,8 +243,8 @@ def main() -> None:
         on_half = search(found.reduced, trial._replace(columns=(half,)))
         table = trial.table(design(found.reduced, weights_of(on_half), SAMPLE_PERIOD))
         errors = {column: trial._replace(columns=(column,)).errors(table).mean() for column in COLUMNS}
-        told = ", ".join(f"{column} {error:.4f}" for column, error in errors.items())
-        print(f"fitted to the column {half} alone: {on_half.tolist()}, mean error {told}")
+        errors_text = ", ".join(f"{column} {error:.4f}" for column, error in errors.items())
+        print(f"fitted to the column {half} alone: {on_half.tolist()}, mean error {errors_text}")
     others = [simulated_tests(rig, seed) for seed in OTHER_SEEDS]
     for name, weights in sorted(sets.items()):
         kinds = ", ".join(f"{kind} {weight:.4e}" for kind, weight in weights.weights.model_dump().items())

@@ -40,12 +40,12 @@ def columns(messages: TopicArrays) -> dict[str, NDArray[Any]]:
     Raises
     ------
     AbraceError
-        If an array has not the same length in all messages.
+        If an array does not have the same length in all messages.
     """
     table: dict[str, NDArray[Any]] = {}
     for name, values in _with_times(messages).items():
         if values.dtype == object and not (values.size and isinstance(values.flat[0], str)):
-            raise AbraceError(f"{name} has not the same length in all messages, expected a table's columns")
+            raise AbraceError(f"{name} does not have the same length in all messages, expected a table's columns")
         indices = itertools.product(*map(range, values.shape[1:]))
         for index, column in zip(indices, values.reshape(len(values), math.prod(values.shape[1:])).T, strict=True):
             table[name + "".join(f"[{number}]" for number in index)] = column
@@ -65,7 +65,7 @@ def write_csv(path: Path | str, parts: Iterable[TopicArrays]) -> None:
     Raises
     ------
     AbraceError
-        If an array has not the same length in all messages, or the file can't be written.
+        If an array does not have the same length in all messages, or the file can't be written.
     """
     header: list[str] | None = None
     with write_atomically(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The metadata.yaml of a bag as rosbag2 0.26 writes it, and the versions of what records."""
+"""The metadata.yaml of a bag as rosbag2 0.26 writes it, and the versions of the recording software."""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ class OtherStorage:
             # of a damaged file rosbags raises what its database, its decompression or its own code happen to raise
             why = f"{type(error).__name__} {' '.join(str(error).split())}".strip()
             raise AbraceError(
-                f"{self.path}: can't be read as it is ({why}), expected MCAP: ros2 bag convert -i {self.path} "
+                f"{self.path}: can't be read ({why}), expected MCAP: ros2 bag convert -i {self.path} "
                 "-o mcap.yaml, in mcap.yaml output_bags: [{uri: NEW_BAG, storage_id: mcap, all_topics: true}]"
             ) from error
 

@@ -99,7 +99,7 @@ def check_clock(name: str, bag: RawBag) -> None:
         If /clock is one of the topics, or a Clock message can't hold the messages' times.
     """
     if CLOCK in bag.topics:
-        raise AbraceError(f"parameter clock: {CLOCK} of the bag is replayed, expected one of the two")
+        raise AbraceError(f"parameter clock: {CLOCK} of the bag is replayed, expected only one of the two")
     if not 0 <= bag.first <= bag.last < _CLOCK_END:
         raise AbraceError(f"parameter clock: /clock can't have the times of {name}, expected 1970 to 2038")
 
@@ -170,7 +170,7 @@ class BagPlayback:
         self._loop = loop
         span = bag.last - bag.first
         if loop and not span:
-            raise AbraceError("parameter loop: all messages to replay are of one time, expected some that follow")
+            raise AbraceError("parameter loop: all messages to replay have the same time, expected later ones too")
         # a round lasts one mean interval longer than its messages: its last one and the first of the next are apart
         self._round = span + round(span / max(bag.count - 1, 1))
         self._messages = bag.read()

@@ -85,7 +85,7 @@ class BagContents(dict[str, TopicArrays]):
 def read_topics(
     bag: Path | str, topics: Collection[str] | None = None, begin: int | None = None, end: int | None = None
 ) -> BagContents:
-    """Read topics of a bag; of files with a summary section, only the chunks that may hold some of what is asked for.
+    """Read topics of a bag; of files with a summary section, only chunks that may hold requested messages.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def _fields(records: NDArray[np.void], size: int, form: str, offset: int) -> NDA
 
 
 def _topic(recorded: list[tuple[RecordedChannel, Stream | None]]) -> tuple[TopicArrays, list[str]]:
-    """All messages of one topic, from its channels in all files, and what is to be said of them."""
+    """All messages of one topic, from its channels in all files, and the warnings about them."""
     message_type = common_type([channel for channel, _ in recorded])
     streams = [stream for _, stream in recorded if stream is not None]
     count = 0
@@ -274,7 +274,7 @@ def decode_fitting(
 
 
 def _order(log_time: NDArray[np.int64], sequence: NDArray[Any] | None) -> tuple[NDArray[np.intp] | None, list[str]]:
-    """The order of messages, None as they are, and what is to be said of it.
+    """The order of messages, None as they are, and the warning about it.
 
     It is that of their log times, unless their numbers show that the clock was set back while they were recorded.
     """

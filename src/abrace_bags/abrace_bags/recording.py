@@ -182,7 +182,7 @@ class Recording:
         return sum(message[0] != _STEP for message in kept)
 
     def check(self) -> None:
-        """Raise what has gone wrong in the thread.
+        """Raise an error that occurred in the thread.
 
         Raises
         ------
@@ -193,7 +193,7 @@ class Recording:
             raise self._failure
 
     def close(self, lost: Mapping[int, int] | None = None) -> BagWriter:
-        """Write what waits, and close the bag, which is returned. Closing again does nothing.
+        """Write all waiting messages and close the bag, which is returned. Closing again does nothing.
 
         Parameters
         ----------
@@ -250,7 +250,7 @@ class Recording:
                 flush_due = now + self._flush_interval
 
     def _write_waiting(self) -> None:
-        """Write what waits, or a part of it that does not take long."""
+        """Write waiting messages, at most as many as take a short time."""
         waiting, write = self._waiting, self._bag.write
         done = self._bytes_out
         end = done + _WRITTEN_AT_ONCE
@@ -269,7 +269,7 @@ class Recording:
             self._wake.set()
 
     def _salvage(self) -> None:
-        """After a failure, close the bag, if that can be done; what waits is counted as lost in it."""
+        """After a failure, close the bag if possible; waiting messages are counted as lost in it."""
         lost = Counter(topic_id for topic_id, *_ in tuple(self._waiting) if topic_id != _STEP)
         with contextlib.suppress(Exception):
             self._add_lost((lost + self.overflowed).items())

@@ -152,7 +152,7 @@ def _check_sequence(sequence: NDArray[np.uint64]) -> None:
 
 def _finite(name: str, values: NDArray[np.float64], sequence: NDArray[np.uint64]) -> NDArray[np.float64]:
     if values.dtype == object:
-        raise AbraceError(f"{name} has not the same number of values in all samples")
+        raise AbraceError(f"{name} does not have the same number of values in all samples")
     bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1))
     if bad.size:
         raise AbraceError(f"{name} of sample {sequence[bad[0]]} is {values[bad[0]]}, expected finite values")

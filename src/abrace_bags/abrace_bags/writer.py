@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Qos
 
 ROSBAG2_RECORD = "rosbag2"
-"""Name of the metadata record that holds for rosbag2 what is in metadata.yaml."""
+"""Name of the metadata record with the content of metadata.yaml, for rosbag2."""
 WRITTEN_RECORDS = (FACTS_RECORD, ROSBAG2_RECORD, COUNTS_RECORD)
 """Names of the metadata records that every bag has."""
 
@@ -183,7 +183,8 @@ class BagWriter:
         if self._closed:
             self._check_open()
         if log_time_ns < 0 or publish_time_ns < 0:
-            raise AbraceError(f"bag {self.directory}: message at {log_time_ns} ns, published at {publish_time_ns} ns")
+            times = f"message at {log_time_ns} ns, published at {publish_time_ns} ns"
+            raise AbraceError(f"bag {self.directory}: {times}, expected 0 or more")
         if self._full(log_time_ns):
             self.split()
         counts, span = self._counts[topic_id], self._span

@@ -132,7 +132,7 @@ def new_bag(text: str) -> str:
 
 
 def name_or_file(text: str, *endings: str) -> str:
-    """A text; what looks like a path, by a slash or one of the `endings`, has to be one of a file or directory."""
+    """A text; one that looks like a path, by a slash or one of the `endings`, has to name a file or directory."""
     if ("/" in text or text.lower().endswith(endings)) and not Path(text).exists():
         raise ValueError("a file, and there is none of this name")
     return text

@@ -24,7 +24,7 @@ def enlarged(description: str, times: float) -> str:
     description
         URDF, as `abrace_plant.rig.robot_description` makes it.
     times
-        Times which the links' displacements are enlarged; 1: the description stays as it is.
+        Factor by which the links' displacements are enlarged; 1: the description is unchanged.
 
     Returns
     -------

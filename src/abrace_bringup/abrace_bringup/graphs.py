@@ -50,7 +50,7 @@ COMMON = (
         enclave_folder,
     ),
     Argument("robot_state_publisher", "false", "true: start robot_state_publisher as well, for RViz", flag),
-    Argument("exaggeration", "20.0", "times which RViz shows displacements enlarged; 1.0: as measured", exaggeration),
+    Argument("exaggeration", "20.0", "factor by which RViz enlarges displacements; 1.0: as measured", exaggeration),
 )
 CLOSED_LOOP = (
     Argument(

@@ -76,7 +76,7 @@ def _main(
 
 
 def _show_last(terminal: Terminal) -> None:
-    """Show what the nodes printed at their ends; where nobody reads it, what Python still writes is discarded, too."""
+    """Show what the nodes printed at their ends; if its reader has left, what Python still writes is discarded, too."""
     try:
         terminal.show()
     except BrokenPipeError:

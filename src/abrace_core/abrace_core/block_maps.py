@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks of samples of a discrete model as one matrix: what `simulation` and `loop_extremes` multiply by.
+"""Blocks of samples of a discrete model as one matrix, used by `simulation` and `loop_extremes`.
 
 All samples of a block follow from the state at its start and its inputs,
 

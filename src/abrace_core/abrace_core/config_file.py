@@ -92,10 +92,10 @@ def expect_entries(given: Iterable[str], names: Sequence[str], key: str) -> None
     """
     given = list(given)
     missing = [name for name in names if name not in given]
-    told = [f"{key}: no entry {', '.join(missing)}"] if missing else []
-    told += [f"{key}.{name}: unknown" for name in given if name not in names]
-    if told:
-        raise AbraceError(f"{'; '.join(told)}, expected {', '.join(names)}")
+    problems = [f"{key}: no entry {', '.join(missing)}"] if missing else []
+    problems += [f"{key}.{name}: unknown" for name in given if name not in names]
+    if problems:
+        raise AbraceError(f"{'; '.join(problems)}, expected {', '.join(names)}")
 
 
 def yaml_number(value: float) -> str:

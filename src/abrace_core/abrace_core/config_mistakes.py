@@ -62,9 +62,9 @@ def mistakes(
     for each in found:
         if each["type"] == "extra_forbidden":
             wrong, folder = str(each["loc"][-1]), _folder(_place(each))
-            beside = {name: place for place, name in missing.items() if _folder(place) == folder}
-            near = did_you_mean(wrong, beside)
-            for name, place in beside.items():
+            siblings = {name: place for place, name in missing.items() if _folder(place) == folder}
+            near = did_you_mean(wrong, siblings)
+            for name, place in siblings.items():
                 if near == f", did you mean {name}?":
                     del missing[place]  # a misspelt key is both unknown and missing
             unknown.append(f"{_place(each)}: unknown key{near or did_you_mean(wrong, keys_of(schema))}")

@@ -49,7 +49,7 @@ def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hol
         each input's value at sample k, held (or linear) from sample k to k+1.
     """
     if model.sample_period:
-        raise AbraceError("discretize: a continuous model was expected")
+        raise AbraceError("discretize: expected a continuous model")
     if not (isinstance(sample_period, Real) and 0 < sample_period < np.inf):
         raise AbraceError(f"discretize: sample_period {sample_period!r}, expected more than 0 s")
     if wrong := sorted({str(hold) for hold in holds.values()} - {"zero", "first"}):

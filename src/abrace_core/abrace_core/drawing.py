@@ -65,7 +65,7 @@ def plain_ticks(axis: Axis, low: float, high: float) -> None:
 
 
 def last_motion(time: NDArray[np.float64], *curves: NDArray[np.float64]) -> float:
-    """When the last of the `curves` (samples,) over `time` [s] falls below QUIET of its peak for good."""
+    """When the last of the `curves` (samples,) over `time` [s] falls below QUIET of its peak and stays there."""
     ends = [np.flatnonzero(np.abs(curve) > QUIET * np.abs(curve).max(initial=0.0)) for curve in curves]
     last = max((int(end[-1]) for end in ends if end.size), default=len(time) - 1)
     return float(time[min(last, len(time) - 1)])

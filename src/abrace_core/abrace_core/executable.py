@@ -45,8 +45,8 @@ def replace_unprintable() -> None:
 
 
 def _call_exit_handlers() -> None:
-    """Call what is registered with `atexit`, and print what is not printed yet."""
+    """Call the functions registered with `atexit`, and flush the output."""
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):  # nobody reads any more
+        with contextlib.suppress(OSError):  # the reader has left
             stream.flush()

@@ -80,7 +80,7 @@ class LinearModel:
         object.__setattr__(self, "outputs", tuple(self.outputs))
         for names in (self.inputs, self.outputs):
             if len(set(names)) != len(names):
-                raise AbraceError(f"model signals {names}: each name once was expected")
+                raise AbraceError(f"model signals {names}: expected each name once")
         delay = tuple(float(value) for value in self.input_delay) or (0.0,) * m
         if len(delay) != m or min(delay, default=0.0) < 0 or not np.isfinite(delay).all():
             raise AbraceError(f"model input_delay {delay}: expected one delay >= 0 for each of {m} inputs")

@@ -137,7 +137,7 @@ def loop_extremes(
     cut_peak, cut_square = np.zeros((2, loops, len(cut)))
     saturated = np.zeros(loops, dtype=np.int64)
     ground = motions.ground.view()
-    ground.flags.writeable = False  # as it is where another process sent it: one type, compiled once
+    ground.flags.writeable = False  # as in an array from another process: one type, compiled once
     _run(
         ground,
         motions.samples,

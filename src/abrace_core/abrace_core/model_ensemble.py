@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from abrace_core.linear_model import LinearModel
 
 MOST_TRIES = 100
-"""Draws for each model that is asked for, stable ones being kept."""
+"""Draws for each requested model; stable ones are kept."""
 
 
 @takes_models

@@ -24,7 +24,7 @@ LINES = ("all", "odd", "even")
 """Which multiples of one over the period a multisine may have."""
 
 LEFT_OUT = 4
-"""One line in so many neighbouring odd (or even) ones, chosen at random, is left out."""
+"""Of so many neighbouring odd (or even) lines one, chosen at random, is left out."""
 
 CLIPPINGS = 400
 """Iterations of the clipping, after which the crest factor of a band of some hundred lines falls no further."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """As a context or a decorator: NumPy and SciPy use one thread within, and as many as before after it.
+    """As a context or a decorator: NumPy and SciPy use one thread within it, and as many as before afterwards.
 
     With OpenBLAS's default, a thread for each processor, identification takes 2.4 times as long on two processors, and
     five times the computing time.

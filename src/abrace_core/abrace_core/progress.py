@@ -50,7 +50,7 @@ class Progress:
     def kept(self, name: str) -> None:
         """Report that the step `name` was completed before, and is kept."""
         self._number += 1
-        self._stream.write(f"[{self._number}/{self._steps}] {name}: whole, kept\n")
+        self._stream.write(f"[{self._number}/{self._steps}] {name}: complete, kept\n")
         self._stream.flush()
 
     @contextlib.contextmanager

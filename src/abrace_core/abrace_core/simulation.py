@@ -55,7 +55,7 @@ def simulate(
         If the model is continuous, or inputs or initial state do not fit it.
     """
     if not model.sample_period:
-        raise AbraceError("simulate: a discrete model was expected")
+        raise AbraceError("simulate: expected a discrete model")
     inputs = np.asarray(inputs, dtype=np.float64)
     if inputs.ndim != 2 or inputs.shape[1] != len(model.inputs):
         raise AbraceError(f"simulate: inputs of shape {inputs.shape}, expected (samples, {len(model.inputs)})")
@@ -115,7 +115,7 @@ def simulate_closed_loop(
             f"the model takes {', '.join(model.inputs[1:])} every {model.sample_period} s"
         )
     if not model.sample_period:
-        raise AbraceError("closed loop: discrete models were expected")
+        raise AbraceError("closed loop: expected discrete models")
     ground_acceleration = np.asarray(ground_acceleration, dtype=np.float64)
     capacity = np.ascontiguousarray(capacity, dtype=np.float64)
     samples, commands = len(ground_acceleration), len(controller.outputs)

@@ -24,7 +24,7 @@ def did_you_mean(given: str, names: Collection[str]) -> str:
 
 
 def expected_of(given: str, names: Collection[str]) -> str:
-    """The end of an error message about the name `given`: what it may have meant, or else all `names`.
+    """The end of an error message about the name `given`: the nearest of the `names`, or else all of them.
 
     >>> expected_of("lgq3", ["lqg1", "lqg3", "half"])
     'expected one of half, lqg1, lqg3, did you mean lqg3?'

@@ -41,7 +41,7 @@ SCALES = {"linear": "linear", "log": "log"}
 
 
 def plotly_figure(figure: Figure) -> dict[str, Any] | None:
-    """Data and layout of Plotly's for a `figure` that has been laid out; None: it has what cannot be zoomed.
+    """Data and layout of Plotly's for a `figure` that has been laid out; None: it cannot be zoomed.
 
     Images and scales other than linear and logarithmic cannot.
     """
@@ -240,7 +240,7 @@ def _add_texts(
 
 
 def _corners(artist: Any, figure: Figure) -> list[float]:
-    """Left, bottom, right and top of what is drawn, in shares of the `figure`."""
+    """Left, bottom, right and top of the drawing, in shares of the `figure`."""
     corners = artist.get_window_extent().get_points() / figure.bbox.max
     return np.round(corners.ravel(), DIGITS).tolist()
 

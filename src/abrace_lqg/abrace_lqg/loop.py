@@ -5,8 +5,7 @@ The timing is that of the rig: the command computed from sample k is in force fr
 broken at one signal, a command at the plant's input U or a measured quantity, while the others stay closed. Its
 transfer function is that of the discrete models, exact at every frequency below half the sampling rate, with the
 computational delay of one sample. With S = 1/(1 + L) the diagonal entry of the sensitivity that belongs to that signal
-and T = 1 - S the complementary sensitivity, L = T/(1 - T) (Skogestad and Postlethwaite 2005, Multivariable Feedback
-Control, chapter 2).
+and T = 1 - S the complementary sensitivity, L = T/(1 - T) (Skogestad and Postlethwaite 2005, ch. 2).
 """
 
 from __future__ import annotations
@@ -101,7 +100,7 @@ def open_loop(model: LinearModel, controller: LinearModel, broken_at: str) -> Li
     whole = closed_loop(plant, controller)
     a, b = whole.a.copy(), np.zeros((whole.order, 1))
     if broken_at in controller.outputs:
-        # what the controller asks for is the output, what is in force one sample later the input
+        # the controller's command is the output, the command in force one sample later the input
         row = plant.order + controller.outputs.index(broken_at)
         returned = a[row].copy()
         a[row], b[row] = 0.0, 1.0

@@ -60,7 +60,7 @@ def scaled_weights(
     ------
     AbraceError
         If a name is none of the model's, there is not one force limit for each command, the model has no displacements
-        to reduce, or no factor reaches what is asked for.
+        to reduce, or no factor reaches the target.
     """
     commands = model.inputs[1:]
     if len(force_limit) != len(commands):

@@ -179,7 +179,7 @@ class Weights(Checked):
             sums["V"] = {f"a{i + 1}": mass for i, mass in enumerate(self.masses)}
         missing = [name for one in sums.values() for name in one if name not in outputs]
         if missing:
-            raise AbraceError(f"weights: drift and base_shear need {', '.join(missing)}, which the model has not")
+            raise AbraceError(f"weights: drift and base_shear need {', '.join(missing)}, which the model does not have")
         return list(sums), [np.array([one.get(name, 0.0) for name in outputs]) for one in sums.values()]
 
     def noise_intensity(self) -> NDArray[np.float64]:

@@ -149,7 +149,7 @@ def identify_data(
         "method": responses[0].method,
         "options": asdict(options),
         "hold": data.hold,
-        "states": f"{len(poles)} modes by maximum likelihood, and one pair for each input that stands for modes above",
+        "states": f"{len(poles)} modes by maximum likelihood, and one pair for each input that represents modes above",
     }
     progress("identified", 1.0)
     return DataIdentification(data, band, responses, estimate, modal_model(estimate, provenance), warnings)

@@ -42,6 +42,6 @@ def write_data_results(found: DataIdentification, held_out: MeasuredData, output
     content = {"predicted": what, "seconds": judged.seconds, "variance_accounted_for": accounted}
     write_text(output / "prediction.json", json.dumps(content, indent=1) + "\n")
     worst = min(accounted, key=lambda name: accounted[name])
-    said = f"variance accounted for, {judged.seconds:g} s {what}: mean {share.mean():.3%}, least "
-    said += f"{accounted[worst]:.3%} ({worst})"
-    return f"modes (rad/s, damping ratio):\n{poles_text(found.pairs)}\n{said}"
+    lines = f"variance accounted for, {judged.seconds:g} s {what}: mean {share.mean():.3%}, least "
+    lines += f"{accounted[worst]:.3%} ({worst})"
+    return f"modes (rad/s, damping ratio):\n{poles_text(found.pairs)}\n{lines}"

@@ -42,9 +42,9 @@ def write_identification(found: Identification, output: Path, mat: bool = False)
         "common": found.poles.common_pairs,
     }
     write_poles(pairs, output / "poles.json")
-    said = []
+    texts = []
     for test, values in pairs.items():
-        said.append(f"poles from {'both tests' if test == 'common' else f'the {test} test'} (rad/s, damping ratio):")
-        said.append(poles_text(values))
-    said.append(write_distortion((found.table, *found.commands), output / "distortion.json"))
-    return "\n".join(filter(None, said))
+        texts.append(f"poles from {'both tests' if test == 'common' else f'the {test} test'} (rad/s, damping ratio):")
+        texts.append(poles_text(values))
+    texts.append(write_distortion((found.table, *found.commands), output / "distortion.json"))
+    return "\n".join(filter(None, texts))

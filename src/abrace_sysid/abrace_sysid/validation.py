@@ -163,7 +163,7 @@ def compare(
         raise AbraceError(f"{run.source}: {len(capacity)} capacities, expected one for each of {run.groups} commands")
     unmeasured = [name for name in controller.inputs if name not in run.names] if controller else []
     if unmeasured:
-        raise AbraceError(f"{run.source}: the controller measures {', '.join(unmeasured)}, which the run has not")
+        raise AbraceError(f"{run.source}: the controller measures {', '.join(unmeasured)}, which the run does not have")
     ground, wanted_model = run.ground_acceleration, model.select(run.names, wanted)
     given = np.clip(run.command_from_here, -capacity, capacity)
     if not_linear is not None:

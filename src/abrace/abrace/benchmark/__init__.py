@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Benchmarks: takes the name of a building or rig and a controller, gives the criteria J1 to J17 beside other laws'."""
+"""Benchmarks: takes a building's or rig's name and a controller, gives criteria J1 to J17 and those of other laws."""

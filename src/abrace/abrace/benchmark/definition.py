@@ -98,7 +98,7 @@ class Live(Checked):
     rig
         Rig file, by name or path: the frame condensed to its levels, the same devices and sensors.
     low_cut
-        Of the table's motion [Hz]: a table is at rest at its end, in the middle; 0: the record as it is.
+        Of the table's motion [Hz]: a table is at rest at its end, in the middle; 0: the unchanged record.
     """
 
     rig: str
@@ -204,7 +204,7 @@ class RecordedCase:
 
 
 def check_case_names(definition: Definition | RigDefinition) -> None:
-    """Refuse a `definition` with two cases of one name: results, and what they are divided by, are kept by that name.
+    """Refuse a `definition` with two cases of one name: results and reference values are stored by that name.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def check_case_names(definition: Definition | RigDefinition) -> None:
         if case.name in records:
             raise AbraceError(
                 f"benchmark {definition.name}: records {records[case.name]} and {case.record}: both cases are named "
-                f"{case.name}, expected a file name or an intensity of its own for each"
+                f"{case.name}, expected a different file name or intensity for each"
             )
         records[case.name] = case.record
 
@@ -267,7 +267,7 @@ def load_definition(name: str) -> Definition | RigDefinition:
 
 
 def record_path(name: str) -> str:
-    """Where the record of a case is: a known name as it is, else a file in the folder of the benchmarks' data.
+    """Where the record of a case is: a known name unchanged, else a file in the folder of the benchmarks' data.
 
     Raises
     ------

@@ -120,7 +120,7 @@ class FrameBenchmark:
         return self.responses(outputs, np.zeros((len(outputs), len(self.layout.storeys))))
 
     def uncontrolled(self, case: Case | RecordedCase) -> Mapping[str, float]:
-        """What a `case`'s criteria are divided by: what its file states, else a run of our own."""
+        """Reference values of a `case`'s criteria: from its file, else from a run of our own."""
         if case.name not in self._uncontrolled:
             stated = None if isinstance(case, RecordedCase) else case.uncontrolled
             self._uncontrolled[case.name] = stated or peaks(self.without_control(case), self.layout)

@@ -38,7 +38,7 @@ def reference_names(benchmark: AnyBenchmark) -> tuple[str, ...]:
 
 
 def references(benchmark: AnyBenchmark) -> dict[str, Controller]:
-    """The controllers that every other one stands beside, by name: of a frame the benchmark's sample and abrace's own.
+    """The reference controllers, by name: of a frame the benchmark's sample and abrace's own.
 
     Raises
     ------

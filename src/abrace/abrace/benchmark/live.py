@@ -90,7 +90,7 @@ def run_live(
     write_text(path, yaml.safe_dump(content, sort_keys=False))
     outcome = run_campaign(path)
     if outcome.doubts:
-        raise AbraceError(f"{controller}: not to be trusted: {outcome.doubts[0]}, expected undisturbed tests")
+        raise AbraceError(f"{controller}: cannot be trusted: {outcome.doubts[0]}, expected undisturbed tests")
     bags = {test.step: test.bag for test in recorded_tests(outcome.results, [str(step["name"]) for step in steps])}
     law = None if is_node(controller) else load_controller(controller).law
     return {
@@ -128,5 +128,5 @@ def _of_frame(
 
 
 def _resolved(name: str) -> str:
-    """A file's whole path, as the campaign file stands in another folder; a name as it is."""
+    """A file's whole path, because the campaign file is in another folder; a name unchanged."""
     return str(Path(name).resolve()) if Path(name).suffix else name

@@ -90,7 +90,7 @@ def recorded_case(benchmark: AnyBenchmark, run: Run, name: str) -> RecordedCase:
 def of_tests(
     benchmark: AnyBenchmark, controlled: Run, uncontrolled: Run, law: LinearModel | None = None
 ) -> tuple[dict[str, float], Responses]:
-    """Criteria of a `controlled` test beside an `uncontrolled` one of the benchmark's rig, and its responses.
+    """Criteria of a `controlled` test relative to an `uncontrolled` one of the benchmark's rig, and its responses.
 
     J16 and J17 are the inputs and states of the test's control `law`; None: it is not known, they are left out.
 

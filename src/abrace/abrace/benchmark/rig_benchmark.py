@@ -101,7 +101,7 @@ class RigBenchmark:
         return Responses(self.plant.sample_period, x, v, a, force)
 
     def without_control(self, case: RigCase | RecordedCase) -> Responses:
-        """A run of a `case` with zero command: the braces push what their servos leave."""
+        """A run of a `case` with zero command: the braces have the forces that their servos leave."""
         inputs = np.zeros((len(ground := self.ground(case)), len(self.plant.inputs)))
         inputs[:, 0] = ground
         return self._responses(simulate(self.plant, inputs))

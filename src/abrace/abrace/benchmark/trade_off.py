@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What more force would give: abrace's own controller with other weights of its commands, beside the sample one."""
+"""Responses over force: abrace's own controller with other weights of its commands, and the sample controller."""
 
 from __future__ import annotations
 

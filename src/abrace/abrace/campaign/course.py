@@ -77,7 +77,7 @@ class _Course:
             self._done = DoneSteps(unfinished, self._names)
         elif missing[unfinished]:
             why = missing[results if last.steps else unfinished]
-            raise AbraceError(f"--from {start}: {why}, expected every step before it to be whole: begin with that one")
+            raise AbraceError(f"--from {start}: {why}, expected all earlier steps to be complete: begin with that one")
         self._done.keep(earlier)
 
     def _missing(self, done: DoneSteps, names: list[str]) -> str:
@@ -164,9 +164,9 @@ class _Course:
             with contextlib.suppress(AbraceError):  # the first error is the one that is reported
                 self._write_timing({"step": step, "cause": str(error)})
                 make_report(self._folders.unfinished)
-        count = f"{len(self._done.steps)} of {len(self._names)} steps are whole"
+        count = f"{len(self._done.steps)} of {len(self._names)} steps are complete"
         again = "the same command" if self._start is None else f"abrace campaign {self._campaign.path}, without --from,"
-        where = f"in {self._folders.unfinished}; {again} goes on with {step}"
+        where = f"in {self._folders.unfinished}; {again} continues with {step}"
         print(f"abrace: {count}, {where}", file=sys.stderr, flush=True)
 
 

@@ -92,7 +92,7 @@ class Signals:
 
 
 def wrong_test(test: RigTest, laboratory: Laboratory, lockstep: bool, signals: Signals) -> Iterator[str]:
-    """What a test asks for that there is not, or cannot be.
+    """What a test requires that does not exist or is not possible.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def _make_excitation(test: RigTest, laboratory: Laboratory, signals: Signals) ->
 def _disconnect(test: RigTest, laboratory: Laboratory) -> None:
     left = laboratory.rig.disconnect(test.disconnected_braces)
     if (test.excitation or test.controller) and not any(group.connected for group in left.braces):
-        raise AbraceError("commands to braces of which none is connected, expected one at least")
+        raise AbraceError("commands to braces that are all disconnected, expected at least one connected")
 
 
 def _find_controller(test: RigTest, laboratory: Laboratory) -> None:

@@ -94,7 +94,7 @@ class Display:
     def kept(self, name: str) -> None:
         """Print that the step `name` was completed in an earlier run, and is kept."""
         self._number += 1
-        self._print(f"[{self._number}/{self._steps}] {name}: whole, kept")
+        self._print(f"[{self._number}/{self._steps}] {name}: complete, kept")
 
     @contextlib.contextmanager
     def step(self, name: str) -> Iterator[DisplayedStep]:

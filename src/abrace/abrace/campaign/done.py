@@ -93,7 +93,7 @@ class DoneSteps:
         except FileNotFoundError:
             return  # no step is done
         except (OSError, ValueError) as error:
-            raise AbraceError(f"{folder / FILE}: cannot be read, remove {folder} to begin anew") from error
+            raise AbraceError(f"{folder / FILE}: cannot be read, remove {folder} to begin again") from error
         self.steps = {step.name: step for step in found if step.name in self._order}
 
     def changed(self, name: str, inputs: Mapping[str, str]) -> str:

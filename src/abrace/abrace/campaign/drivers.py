@@ -101,5 +101,5 @@ def rig_node(test: RigTest, laboratory: Laboratory, seed: int, wait_for: Sequenc
         return abrace_node(
             "abrace_plant", "sensor_bridge", given | {"device": str(laboratory.device_file)}, name="plant"
         )
-    told = {key: list(value) for key in ("disconnected_braces", "sensor_faults") if (value := getattr(test, key))}
-    return abrace_node("abrace_plant", "plant", given | {"seed": seed, **told})
+    faults = {key: list(value) for key in ("disconnected_braces", "sensor_faults") if (value := getattr(test, key))}
+    return abrace_node("abrace_plant", "plant", given | {"seed": seed, **faults})

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 PATIENCE = 30.0
 """Seconds within which the nodes of a test have to start and discover each other."""
+CONFIGURE_PATIENCE = 180.0
+"""Seconds within which the rig has to configure. Its first time on a machine compiles: 6 s of processor time."""
 SILENCE = 3.0
 """Seconds after which a user's node without diagnostics is assumed not to publish any."""
 STUCK = 30.0
@@ -137,7 +139,7 @@ class Runner:
             for place, one in enumerate(loops):
                 given = one.parameters | self.loop_parameters(place, lockstep)
                 self.start(group, name, replace(one, parameters=given), lockstep)
-            monitor.configure("plant", PATIENCE, group.raise_if_died)
+            monitor.configure("plant", CONFIGURE_PATIENCE, group.raise_if_died)
             expected = expected_matches(nodes)
             for own in ["plant"] * (lab.setup.node is not None) + ["controller"] * isinstance(test.controller, OwnNode):
                 if not monitor.tells_partners(own, SILENCE, group.raise_if_died):
@@ -304,7 +306,7 @@ class Runner:
         return [self.bag_of(test) for test in tests]
 
     def models(self, model: str, *names: str) -> list[str]:
-        """The files `names` of a `model`: an identify step or its folder; a model file stands for itself alone."""
+        """The files `names` of a `model`: an identify step or its folder; of a model file only that file."""
         if model.endswith(MODEL_FILE):
             return [model]
         folder = Path(model) if is_path(model) else self.results / model

@@ -124,7 +124,7 @@ def explore(
 ) -> Explored:
     """Design and simulate many sets of weights around given ones.
 
-    The loops are kept in `loops` of the folder, batch by batch: the same call goes on where it was interrupted.
+    The loops are kept in `loops` of the folder, batch by batch: the same call continues where it was interrupted.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def explore(
     quantile
         Share of the loops that respond no more than a set's robust response, by which sets are ranked.
     sets
-        How many are tried beside the given one.
+        How many sets are tried in addition to the given one.
     spans
         Lowest and highest power of ten that a weight is multiplied by, by its name; None: those of the node `explore`.
     seed

@@ -65,7 +65,7 @@ def fragility(
     """Run closed loops of every model, controller, fault, record and intensity, and fit fragility curves.
 
     The zero command is always among the controllers. Commands are cut at each controller's force limit. Results are
-    kept in the folder, batch by batch: the same call goes on where it was interrupted.
+    kept in the folder, batch by batch: the same call continues where it was interrupted.
 
     Parameters
     ----------

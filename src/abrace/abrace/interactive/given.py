@@ -36,7 +36,7 @@ if TYPE_CHECKING:
             """For design."""
 
     AnyModel: TypeAlias = LinearModel | control.StateSpace | HasModels | Rig | Path | str
-    """A model, what has one, a model file, the folder of an identification's results, or the name of a rig."""
+    """A model, an object that has one, a model file, the folder of an identification, or the name of a rig."""
     AnyRig: TypeAlias = Rig | Path | str
     """A rig, its file, or the name of one of abrace's."""
     AnyRun: TypeAlias = Run | Path | str

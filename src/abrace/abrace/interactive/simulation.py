@@ -276,7 +276,7 @@ def _of_model(
         outputs = simulate_model(sampled, np.column_stack([ground, forces]))
         command = np.vstack([np.zeros((1, groups)), forces[:-1]])
     elif hasattr(controller, "begin"):
-        raise AbraceError("simulate: a law of one's own and a model, expected a rig")
+        raise AbraceError("simulate: a law of your own and a model, expected a rig")
     else:
         given = controller_of(controller)
         outputs, command = simulate_closed_loop(sampled, given.law, ground, given.force_limit, given.correction)

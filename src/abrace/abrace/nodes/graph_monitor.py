@@ -26,6 +26,11 @@ if TYPE_CHECKING:
 
 SPIN_TIMEOUT = 0.05
 """Seconds that one spin waits at most."""
+TRANSITIONS = {
+    Transition.TRANSITION_CONFIGURE: "configure",
+    Transition.TRANSITION_ACTIVATE: "activate",
+    Transition.TRANSITION_DEACTIVATE: "deactivate",
+}
 
 
 def expected_matches(inputs: Mapping[str, str], plant: bool = True) -> dict[str, dict[str, int]]:
@@ -229,9 +234,9 @@ class GraphMonitor:
             self.spin_once()
             check()
             if time.monotonic() > deadline:
-                raise RunFailed(f"{node} did not change its state within {timeout:g} s")
+                raise RunFailed(f"{node} did not {TRANSITIONS[transition]} within {timeout:g} s")
         if not future.result().success:
-            raise RunFailed(f"{node} refused the life cycle transition {transition}")
+            raise RunFailed(f"{node} refused to {TRANSITIONS[transition]}")
 
     def configure(self, node: str, timeout: float, check: Callable[[], None]) -> None:
         """Configure a life cycle node."""

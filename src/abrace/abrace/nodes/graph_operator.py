@@ -40,7 +40,7 @@ _INACTIVE, _ACTIVE = "inactive", "active"
 
 
 class Refused(AbraceError):  # noqa: N818
-    """A node has answered that it will not; the message is its reason."""
+    """A node refused a request; the message is its reason."""
 
 
 class StopButton:
@@ -96,7 +96,7 @@ class GraphOperator:
             self.reports.note(status, time.monotonic())
 
     def wait(self, seconds: float, until: Callable[[], Any] = bool) -> bool:
-        """Receive for so many seconds, or until what is asked for holds; returns whether it does."""
+        """Receive for so many seconds, or until the condition holds; returns whether it does."""
         deadline = time.monotonic() + seconds
         while not until():
             if time.monotonic() >= deadline:
@@ -163,7 +163,7 @@ class GraphOperator:
         Raises
         ------
         AbraceError
-            If nobody offers it, or answers.
+            If no node offers it, or none answers.
         """
         client = self.client(service_type, service)
         if not self.wait(PATIENCE, client.service_is_ready):

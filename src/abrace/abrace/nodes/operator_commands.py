@@ -76,7 +76,7 @@ def stop() -> int:
             return sorted(name for name, report in operator.reports.items() if report.stopped)
 
         listening = operator.wait(PATIENCE, lambda: stopped() and stopped() == operator.rigs())
-        # who left before its name was heard would stay a node of unknown name
+        # a node that left before its name was received would stay a node of unknown name
         operator.wait(NAMING, lambda: not any(UNNAMED in report.stopped for report in operator.reports.values()))
         button.rest()
         for name in stopped():

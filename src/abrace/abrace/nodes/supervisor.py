@@ -110,7 +110,7 @@ class Supervisor(AbraceNode):
                     waiting.remove(node)
             if time.monotonic() > news + STUCK:
                 raise AbraceError(
-                    f"{', '.join(waiting)}: the signal has made no progress for {STUCK:g} s, is the rig there?"
+                    f"{', '.join(waiting)}: the signal has made no progress for {STUCK:g} s, is the rig running?"
                 )
         print(f"supervisor: the signal is over, {self.parameters.free_decay:g} s of free decay follow", flush=True)
         self.spin(self.parameters.free_decay)

@@ -47,9 +47,9 @@ def watched(rig_file: Path, parameters: Sequence[str] = ()) -> Iterator[None]:
         If the viewer does not start.
     """
     with _viewer(f"rig:={rig_file.resolve()}", *parameters) as (url, _):
-        print(f"watch: {url}", file=sys.stderr, flush=True)
-        if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-            webbrowser.open(url)
+        desktop = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        opened = bool(desktop) and webbrowser.open(url)
+        print(f"watch: {url}{'' if opened else ' (open it in a browser on this machine)'}", file=sys.stderr, flush=True)
         yield
 
 
@@ -62,7 +62,7 @@ def watch_bag(bag: Path) -> None:
         If the viewer does not start, or ends by itself.
     """
     with _viewer(f"bag:={bag.resolve()}") as (url, group):
-        print(f"watch: {url} shows {bag}, until Ctrl-C", file=sys.stderr, flush=True)
+        print(f"watch: {url} plays {bag} in real time; Ctrl-C ends it", file=sys.stderr, flush=True)
         with suppress(KeyboardInterrupt):
             while True:
                 group.raise_if_died()

@@ -166,8 +166,8 @@ class _Pair:
         axis.set_ylabel("ratio [-]")
         axis.grid(axis="y", alpha=0.3)
         axis.legend(ncols=2, fontsize="small")
-        told = _tested(self.these.comparisons[step])
-        return captioned(figure, f"{step}, {told}: peaks and rms of {self.names[0]} over those of {self.names[1]}.")
+        subject = _tested(self.these.comparisons[step])
+        return captioned(figure, f"{step}, {subject}: peaks and rms of {self.names[0]} over those of {self.names[1]}.")
 
     @property
     def _rest(self) -> tuple[str, str]:

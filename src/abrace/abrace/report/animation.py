@@ -75,8 +75,8 @@ def animate(
         raise AbraceError(f"animation {path}: expected a name that ends in .gif")
     runs = [read_runs(bag)[0] for bag in bags]
     if len({run.floors for run in runs}) > 1:
-        told = " and ".join(f"{run.floors} floors in {run.source}" for run in runs)
-        raise AbraceError(f"animation: {told}, expected tests of one building")
+        found = " and ".join(f"{run.floors} floors in {run.source}" for run in runs)
+        raise AbraceError(f"animation: {found}, expected tests of one building")
     floors = [run.channels([f"x{floor + 1}" for floor in range(run.floors)]) for run in runs]
     begin, end = _span(runs, floors, start, duration)
     largest = max(float(np.abs(x).max()) for x in floors)

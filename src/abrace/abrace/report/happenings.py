@@ -36,19 +36,19 @@ def _doubts_of(step: StepTiming) -> list[str]:
 
 
 def doubts(timing: Timing) -> list[str]:
-    """Why tests are not to be trusted, from the campaign's `timing`; empty: all are."""
+    """Why tests cannot be trusted, from the campaign's `timing`; empty: all are."""
     return [f"{step.name}: {sentence}" for step in timing.steps for sentence in _doubts_of(step)]
 
 
 def happenings(timing: Timing) -> dict[str, dict[str, Any]]:
-    """By test, deviations from what was asked for, counted in samples, from the campaign's `timing`."""
+    """By test, deviations from the request, counted in samples, from the campaign's `timing`."""
     names = {"clipped", *DOUBTS, *REMARKS}
     counts = {step.name: step.model_dump(include=names) for step in timing.steps}
     return {name: found for name, all_ in counts.items() if (found := {key: n for key, n in all_.items() if n})}
 
 
 def happenings_table(timing: Timing) -> Table | None:
-    """Deviations of the tests from what was asked for, from the campaign's `timing`; None: nothing."""
+    """Deviations of the tests from the request, from the campaign's `timing`; None: no deviation."""
     rows: list[tuple[str, str, str]] = []
     for step in timing.steps:
         rows += [(step.name, sentence, "no") for sentence in _doubts_of(step)]

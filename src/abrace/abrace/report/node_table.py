@@ -14,7 +14,7 @@ STALE = 2.5
 OK = b"\x00"
 """`DiagnosticStatus.OK`."""
 LOSSES = ("lost", "missed")
-"""How entries of diagnostics begin that count what has been lost."""
+"""Beginnings of the names of diagnostics entries that count losses."""
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ def motion_figure(test: RecordedTest, run: Run, units: Units) -> Figure:
         spectrum.set(xlabel="frequency [Hz]", ylabel=f"amplitude spectral density [{unit}/√Hz]", xlim=(0, highest))
         shown = np.sqrt(power[(frequency > 0) & (frequency < highest)])
         spectrum.set_ylim(factor * shown.min() / 2, factor * shown.max() * 2)
-        told = "its amplitude spectral density"
+        spectrum_text = "its amplitude spectral density"
     else:
         record = Record(test.step, run.sample_period, run.ground_acceleration)
         found = response_spectrum(record, PERIODS, RATIOS)
@@ -65,10 +65,10 @@ def motion_figure(test: RecordedTest, run: Run, units: Units) -> Figure:
         spectrum.set_xticks([], minor=True)
         spectrum.set_ylim(bottom=0)
         spectrum.legend(fontsize="small")
-        told = "its response spectra"
+        spectrum_text = "its response spectra"
     for axis in (history, spectrum):
         axis.grid(alpha=0.3)
-    return captioned(figure, f"Acceleration of the table in test {test.step} ({test.drive}), and {told}.")
+    return captioned(figure, f"Acceleration of the table in test {test.step} ({test.drive}), and {spectrum_text}.")
 
 
 def _spectrum(run: Run) -> tuple[np.ndarray, np.ndarray]:

@@ -44,7 +44,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Listing:
-    """Text that is shown as it is: a file, commands."""
+    """Text that is shown unchanged: a file, commands."""
 
     text: str
 

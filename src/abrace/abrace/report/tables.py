@@ -179,8 +179,8 @@ def _pole_table(test: str, poles: Poles, is_papers: bool) -> Table:
 
         def cells(quantity: Callable[[Pole], float], form: str) -> list[str]:
             error = 100 * (quantity(found) / quantity(true) - 1) if found and true else None
-            beside = (found, true, papers) if is_papers else (found, true)
-            columns = [_number(quantity(p) if p else None, ".3f") for p in beside]
+            compared = (found, true, papers) if is_papers else (found, true)
+            columns = [_number(quantity(p) if p else None, ".3f") for p in compared]
             return [*columns, _number(error, form)]
 
         return cells(lambda p: p.frequency, "+.3f") + cells(lambda p: 100 * p.damping_ratio, "+.1f")

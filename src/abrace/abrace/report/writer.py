@@ -53,8 +53,8 @@ def make_report(directory: Path | str, system: UnitSystem | None = None) -> str:
 
 
 def _subtitle(results: Results, rigs: set[str]) -> str:
-    told = [f"Rig {', '.join(sorted(rigs))}"] if rigs else []
+    parts = [f"Rig {', '.join(sorted(rigs))}"] if rigs else []
     if results.origin is not None:
-        told.append(f"begun {results.origin.begun}, abrace {results.origin.versions.get('abrace', '')}")
-    told += [f"{step}: {one.verdict}" for step, one in results.validity.items()]
-    return "; ".join(told)
+        parts.append(f"begun {results.origin.begun}, abrace {results.origin.versions.get('abrace', '')}")
+    parts += [f"{step}: {one.verdict}" for step, one in results.validity.items()]
+    return "; ".join(parts)

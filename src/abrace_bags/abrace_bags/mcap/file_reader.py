@@ -95,7 +95,7 @@ class McapFile(FileContent):
                         delivered.add(chunks.offsets[k])
                     self._warn_of_left_out()
                     return
-        # all is asked for, there is no index, or a chunk is damaged: what is missing is known when all has been read
+        # all is requested, no index, or a damaged chunk: what is missing is known when everything has been read
         self.clear()
         with open_mcap(self.path) as file:
             scan = Scan(self, file, self._size)

@@ -88,7 +88,7 @@ class McapWriter:
             raise
 
     def publish(self) -> None:
-        """Give the file its name: what readers need to open it has been added."""
+        """Rename the file to its final name, now that readers can open it."""
         self.sync()
         move(self._part, self.path)
 

@@ -162,7 +162,7 @@ def record_head(file: BinaryIO, size: int) -> tuple[int, int]:
 
 
 def _check_length(file: BinaryIO, opcode: int, length: int) -> None:
-    """Compare the `length` of a large record with what its content says, before that is read into memory."""
+    """Compare the `length` of a large record with the length that its content states, before reading it into memory."""
     if length > LARGEST_CHUNK:
         raise DamagedError(f"has {length} bytes, expected at most {LARGEST_CHUNK}")
     begin = file.tell()

@@ -34,7 +34,7 @@ PARAMETERS = [
     Parameter("all", False, "record all topics except hidden ones"),
     Parameter("facts", [], "facts of the run, each as key=value, written into the bag", element=str),
     Parameter("attachments", [], "files of the run that go into the bag: rig, model, controller, record", element=str),
-    Parameter("compression", "zstd", "of each chunk", choices=("zstd", "lz4", "none")),
+    Parameter("compression", "zstd", "compression of each chunk", choices=("zstd", "lz4", "none")),
     Parameter("split_size", 2**30, "bytes after which the next file begins; 0: never", minimum=0),
     Parameter("split_duration", 3600.0, "s after which the next file begins; 0.0: never", minimum=0.0, maximum=1e9),
     Parameter("snapshot", 0.0, "s to keep in memory, written only on `~/snapshot`; 0: off", minimum=0.0, maximum=1e6),
@@ -278,7 +278,7 @@ class Logger(AbraceNode):
     def snapshot(self) -> str:
         """Write what is in memory."""
         if not self.parameters.snapshot:
-            raise AbraceError("parameter snapshot is 0: everything is written at once")
+            raise AbraceError("parameter snapshot is 0: the bag is written continuously, expected snapshot above 0")
         count = self.receive_all().write_snapshot()
         return f"writing {count} messages"
 

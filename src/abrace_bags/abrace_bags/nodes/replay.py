@@ -152,7 +152,7 @@ class Replay(AbraceNode):
                 )
 
     def play_due(self) -> None:
-        """Publish what is due by the clock. It starts here: started earlier, a late first tick would be a burst."""
+        """Publish the messages that are due. The clock starts here; otherwise a late first tick would be a burst."""
         now = time.monotonic()
         self.began = self.began or now
         self.playback.start_clock(now)

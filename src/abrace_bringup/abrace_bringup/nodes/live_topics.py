@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of the running graph for a viewer: all are offered, those are subscribed to that somebody looks at.
+"""The topics of the running graph for a viewer: all are offered; the viewer subscribes to those that a client shows.
 
 Streams are received with best effort: a rig never waits for a viewer, nor sends anything again for it.
 """
@@ -74,7 +74,7 @@ class LiveTopics:
                 self.rigs.append(name)
 
     def subscribe(self, besides: Collection[str]) -> None:
-        """Subscribe to what viewers look at, and to the topics `besides`, and to no others."""
+        """Subscribe to the topics that clients show and to the topics `besides`, and to no others."""
         wanted = {name for name in self._offered if self._server.wanted(name)} | set(besides)
         for name in set(self._subscriptions) - wanted:
             self._subscriptions.pop(name).close()
@@ -118,7 +118,7 @@ class LiveTopics:
 
 
 def _best_effort(publisher: Publisher) -> Publisher:
-    """What is asked of a `publisher`; the last messages of a transient local one come with no less than reliability."""
+    """QoS requested of a `publisher`; the last messages of a transient local one need reliable delivery."""
     if publisher.qos.durability is QosDurability.TRANSIENT_LOCAL:
         return publisher
     return publisher._replace(qos=publisher.qos._replace(reliability=QosReliability.BEST_EFFORT))

@@ -36,7 +36,7 @@ PARAMETERS = [
     Parameter(
         "rig",
         "ncree_three_storey",
-        "whose floors and capacity are shown: a name in abrace_plant's configuration or a file",
+        "rig whose floors and capacity are shown: a name in abrace_plant's configuration or a file",
         required=True,
     ),
     Parameter(
@@ -45,11 +45,11 @@ PARAMETERS = [
         "IP address that the page is served on; beyond loopback only with token_file, certificate and key",
         required=True,
     ),
-    Parameter("port", 8642, "of the page; 0: a free one", minimum=0, maximum=65535),
+    Parameter("port", 8642, "port of the page; 0: a free one", minimum=0, maximum=65535),
     Parameter("hosts", [], "further host names by which browsers reach this machine", element=str),
     Parameter("token_file", "", "file with the token that a page has to give; empty: none"),
-    Parameter("certificate", "", "file of PEM, for TLS; empty: none"),
-    Parameter("key", "", "file of PEM, of the certificate"),
+    Parameter("certificate", "", "PEM file with the certificate, for TLS; empty: none"),
+    Parameter("key", "", "PEM file with the certificate's key"),
     Parameter(
         "page_heartbeat",
         0.0,
@@ -123,7 +123,7 @@ class OperatorPage(AbraceNode):
         self.last = view.Last(head, cause, values, floors, groups, time.monotonic())
 
     def watch(self) -> None:
-        """Say at once that a stop is asked for, or is not any more."""
+        """Publish at once that a stop is requested, or no longer requested."""
         reason = self.request.reason(time.monotonic())
         if reason != self.asked:
             self.asked = reason
@@ -146,14 +146,14 @@ class OperatorPage(AbraceNode):
         for name in gone:
             del self.operator.reports[name]
 
-    # what the server asks for, in its thread
+    # called by the server, in its thread
 
     def hello(self) -> dict[str, Any]:
-        """What a page is told once."""
+        """What a page gets once."""
         return {"rig": view.rig_view(self.rig)}
 
     def frame(self, bins: int, events: int) -> dict[str, Any]:
-        """What a page is told that has the `bins` and `events` up to these numbers."""
+        """What a page gets that has the `bins` and `events` up to these numbers."""
         now, reports = time.monotonic(), NodeReports(self.operator.reports)
         rigs = [name for name in self.rigs if name.rpartition("/")[0] == self.get_namespace().rstrip("/")]
         recorders = actions.recorders(self.offers, self.get_namespace())
@@ -179,7 +179,7 @@ class OperatorPage(AbraceNode):
         self.request.lose(page)
 
     def ask(self, action: str, node: str) -> None:
-        """A person asks for an `action`; STOP goes out at once."""
+        """A person requests an `action`; STOP is published at once."""
         if action == "stop":
             self.request.press("pressed on the page")
             self.button.publish()
@@ -196,7 +196,7 @@ class OperatorPage(AbraceNode):
     # in the thread of actions
 
     def act(self, action: str, node: str) -> None:
-        """Do it, and note what came of it."""
+        """Carry it out, and note the result."""
         try:
             failed = [name for name, one in NodeReports(self.operator.reports).items() if one.failed]
             for name in actions.targets(action, node, self.offers, self.get_namespace(), self.rigs, failed):
@@ -207,7 +207,7 @@ class OperatorPage(AbraceNode):
             self.waiting.release()
 
     def do(self, action: str, name: str) -> str:
-        """Do it to a node; returns what it answers."""
+        """Carry it out on a node; returns the node's answer."""
         if action == "arm":
             return self.operator.arm(name)
         if action == "disarm":
@@ -217,7 +217,7 @@ class OperatorPage(AbraceNode):
     def let_pass(self) -> None:
         """Wait a moment, while the main thread receives."""
         if self.closing.wait(0.01):
-            raise AbraceError("not done: the page's node ends")
+            raise AbraceError("not done: the operator's node is ending")
 
     def note(self, text: str, bad: bool = False) -> None:
         """Show it on the pages and in the log; from any thread."""
@@ -229,7 +229,7 @@ class OperatorPage(AbraceNode):
             self.get_logger().info(text)
 
     def page_failed(self, error: BaseException) -> None:
-        """The server's thread has died: nobody can press STOP there any more."""
+        """The server's thread has died: STOP can no longer be pressed there."""
         self.request.press(f"the page's server has failed: {error}")
         self.finish(1, f"{type(error).__name__}: {error}")
 

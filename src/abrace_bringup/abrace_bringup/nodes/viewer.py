@@ -36,10 +36,10 @@ PARAMETERS = [
     Parameter("bag", "", "bag to play: a directory or a file; empty: the running graph"),
     Parameter("rig", "", "rig: a name or a file; empty: the bag's own, of the graph ncree_three_storey"),
     Parameter("response", "", "topic of the rig's samples; empty: the first that is found"),
-    Parameter("exaggeration", 20.0, "times which displacements are enlarged", minimum=1.0, maximum=1e4, live=True),
-    Parameter("host", "127.0.0.1", "address to listen on; beyond this machine anybody may look", required=True),
-    Parameter("port", 8765, "of the WebSocket server for Foxglove and Lichtblick", minimum=0, maximum=65535),
-    Parameter("page_port", 8766, "of the page for a browser", minimum=0, maximum=65535),
+    Parameter("exaggeration", 20.0, "factor by which displacements are enlarged", minimum=1.0, maximum=1e4, live=True),
+    Parameter("host", "127.0.0.1", "address to listen on; beyond this machine anyone can see it", required=True),
+    Parameter("port", 8765, "port of the WebSocket server for Foxglove and Lichtblick", minimum=0, maximum=65535),
+    Parameter("page_port", 8766, "port of the page for a browser", minimum=0, maximum=65535),
     Parameter("rate", 1.0, "bag time over time", minimum=0.001, maximum=1e3),
     Parameter("loop", True, "play the bag again after its last message"),
     Parameter("operate", False, "let viewers call services of the graph, set its parameters, and stop it"),
@@ -110,7 +110,7 @@ class Viewer(AbraceNode):
         self.due = time.monotonic()
 
     def find_token(self) -> str:
-        """The token without which nobody operates."""
+        """The token that clients need to operate."""
         return read_token(self.parameters.token_file) if self.parameters.token_file else secrets.token_urlsafe(16)
 
     def on_refusal(self, reason: str) -> None:

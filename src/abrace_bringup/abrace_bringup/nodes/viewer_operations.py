@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 STOP = "/view/stop"
 """The service that presses the stop button."""
 PRESSED = 2.5
-"""Seconds for which a stop is pressed: meanwhile every rig has heard it, and who pressed."""
+"""Seconds for which a stop is pressed: within them every rig receives it, and the name of its sender."""
 PATIENCE = 3.0
 """Seconds in which a node has to answer."""
 POLL = 0.02
@@ -93,7 +93,7 @@ class Operations:
         return bytes(serialize_message(answer))
 
     def _press_stop(self) -> Trigger.Response:
-        """Press the stop button of the whole laboratory, and let it go once every rig has heard."""
+        """Press the stop button of the whole laboratory, and release it once every rig has received it."""
 
         def press() -> None:
             publisher = self._node.create_publisher(Bool, STOP_TOPIC, TRANSIENT_LOCAL_QOS)
@@ -127,7 +127,7 @@ class Operations:
     def set_parameters(self, parameters: Sequence[Parameter]) -> list[Parameter]:
         """Set parameters, if viewers may; returns their values then, and logs why one is refused."""
         if not self._may_change:
-            self._node.get_logger().warning("a viewer would set parameters, expected -p operate:=true")
+            self._node.get_logger().warning("a client tried to set parameters, expected -p operate:=true")
             return self.get_parameters([parameter.name for parameter in parameters])
         for parameter in parameters:
             node, _, name = parameter.name.partition(".")
@@ -171,7 +171,7 @@ class Operations:
         return asked.result()
 
     def _in_node(self, act: Any) -> Any:
-        """Have the node's executor call `act`; returns what that gives."""
+        """Have the node's executor call `act`; returns its result."""
         executor, done = self._node.executor, threading.Event()
         results: list[Any] = []
         refused: list[str] = []

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who may open the page: where it is served, by which names, with which certificate, and who has the token.
 
-A page of somebody else's in the same browser must neither press nor look: every request has to name this server as its
-host (a name of the attacker's that leads to this address does not), and the live connection has to come from a page of
-this server's own.
+A page of another site in the same browser must neither press nor see anything: every request has to name this server as
+its host (an attacker's name that resolves to this address does not), and the live connection has to come from a page of
+this server.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Access:
         host, origin, site
             Its headers Host, Origin and Sec-Fetch-Site; None: it has none.
         live
-            Whether it asks for the live connection, which only a page of this server may.
+            Whether it requests the live connection, which only a page of this server may have.
         """
         default = {"http": ":80", "https": ":443"}[self.scheme]
         hosts = {f"{name}:{self.port}" for name in self.names}
@@ -125,7 +125,7 @@ def make_access(address: str, port: int, hosts: Sequence[str], token_file: str, 
         raise AbraceError(f"parameter address: {address}, expected an IP address of this machine") from error
     if bool(certificate) != bool(key):
         missing, other = ("key", "certificate") if certificate else ("certificate", "key")
-        raise AbraceError(f"parameter {missing}: not given, expected a file beside the {other}")
+        raise AbraceError(f"parameter {missing}: not given, expected a file, because {other} is given")
     token = read_token(token_file) if token_file else ""
     context = _context(certificate, key) if certificate else None
     if not ip.is_loopback and not (token and context):

@@ -27,8 +27,8 @@ WORDS = {
     "disarm": "disarm the rig",
     "clear": "clear faults",
     "zero": "zero the sensors",
-    "record": "start a record",
-    "end_record": "end the record",
+    "record": "start recording",
+    "end_record": "stop recording",
 }
 
 

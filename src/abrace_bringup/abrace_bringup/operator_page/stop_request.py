@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the page asks for a stop, and why: a person pressed, or a page was lost that has to stay."""
+"""Whether the page requests a stop, and why: a person pressed, or a page was lost that has to stay."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class StopRequest:
     Parameters
     ----------
     heartbeat
-        Seconds within which each page that was opened has to be heard, and within which there has to be one: without it
-        a stop is asked for. 0: pages may come and go.
+        Seconds within which each open page has to answer, and within which a first page has to be opened: otherwise
+        a stop is requested. 0: pages may come and go.
     """
 
     def __init__(self, heartbeat: float) -> None:
@@ -41,11 +41,11 @@ class StopRequest:
         Raises
         ------
         AbraceError
-            If nothing has been heard of any page, which has to be there.
+            If no page has answered, although there has to be one.
         """
         with self._lock:
             if self._heartbeat and not self._heard:
-                raise AbraceError("no page answers, expected the one that releases")
+                raise AbraceError("no page answers, expected an open page")
             self._reason = ""
 
     def hear(self, page: Hashable, now: float) -> None:
@@ -60,7 +60,7 @@ class StopRequest:
                 self._reason = self._reason or "a page was closed, or its connection is lost"
 
     def reason(self, now: float) -> str:
-        """Why a stop is asked for at `now` [s]; empty: it is not."""
+        """Why a stop is requested at `now` [s]; empty: it is not."""
         with self._lock:
             if self._heartbeat and not self._reason:
                 oldest = min(self._heard.values(), default=-float("inf"))

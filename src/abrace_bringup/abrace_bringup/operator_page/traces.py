@@ -62,7 +62,7 @@ class Traces:
     def since(self, number: int) -> dict[str, Any]:
         """The bins after the one of that `number`, for JSON, and the `number` of the last one.
 
-        `anew`: what was given before is of another run, or too long ago.
+        `anew`: the bins given before are of another run, or too old.
         """
         with self._lock:
             last, began, kept = self._number, self._began, list(self._bins)

@@ -24,7 +24,7 @@ NO_SAMPLES = 0.5
 GONE = 120.0
 """Seconds without a report after which a node is not shown any more."""
 EVENTS = 50
-"""Of what has been done, that are kept."""
+"""Number of kept entries of what was done."""
 LATENCIES = ("median", "99_percent", "worst")
 _SHARE = re.compile(r"(-?\d+(?:\.\d+)?) %")
 
@@ -58,7 +58,7 @@ class Events:
         self.number = 0
 
     def add(self, time: float, text: str, bad: bool = False) -> None:
-        """Add a `text` about what happened at this `time` [s since 1970]; `bad`: it did not go as asked."""
+        """Add a `text` about what happened at this `time` [s since 1970]; `bad`: it failed."""
         self._kept.append({"time": time, "text": text, "bad": bad, "number": self.number + 1})
         self.number += 1
 
@@ -68,7 +68,7 @@ class Events:
 
 
 def rig_view(rig: Rig) -> dict[str, Any]:
-    """What stays as it is: name, floors, groups and their capacities [kN] of a `rig`."""
+    """What does not change: name, floors, groups and their capacities [kN] of a `rig`."""
     groups = len(rig.braces)
     return {
         "name": rig.name,

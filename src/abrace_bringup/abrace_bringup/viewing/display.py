@@ -40,7 +40,7 @@ class Pictures(Protocol):
 
 
 class Display:
-    """Sends what is made of the samples of a rig to a server.
+    """Sends messages made from the samples of a rig to a server.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Display:
 
     @property
     def wanted(self) -> bool:
-        """Whether a viewer looks at any of it."""
+        """Whether a client shows any of it."""
         return self._pictures.wanted or any(self._server.wanted(topic) for topic in (CHANNELS, FRAMES, SCENE))
 
     def add(self, payload: bytes, time: int) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A page that shows the building in any browser, without anything to install: served beside the WebSocket server."""
+"""A page that shows the building in any browser, without anything to install, served next to the WebSocket server."""
 
 from __future__ import annotations
 

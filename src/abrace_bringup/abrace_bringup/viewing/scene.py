@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The building as a viewer draws it: frames of the floors, columns, and braces coloured by how much they are loaded.
 
-Floors are moved by their measured displacements relative to the table, enlarged. What stands still is in the robot
+Floors are moved by their measured displacements relative to the table, enlarged. What does not move is in the robot
 description (`abrace_plant.rig.robot_description`), whose links these frames move.
 """
 
@@ -90,7 +90,7 @@ class Brace(NamedTuple):
 
     @property
     def middle(self) -> Point:
-        """Where the arrow of the force begins and its number stands [m]."""
+        """Position of the force's arrow and number [m]."""
         (x, y, z), (u, v, w) = self.foot, self.head
         return (x + u) / 2, (y + v) / 2, (z + w) / 2
 

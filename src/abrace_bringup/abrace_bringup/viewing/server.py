@@ -182,7 +182,7 @@ class ViewServer:
             self._channels[topic].log(payload, log_time=time)
 
     def begin_anew(self) -> None:
-        """Clear what viewers have received, because time steps back."""
+        """Clear the viewers' data, because time steps back."""
         self._server.clear_session()
 
     def tell_time(self, time: int) -> None:

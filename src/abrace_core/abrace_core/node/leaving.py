@@ -16,7 +16,7 @@ PAUSE = 0.02
 
 
 def destroy(node: Node) -> None:
-    """Destroy the only node of its context, so that no other process goes on listing it.
+    """Destroy the only node of its context, so that no other process lists it any longer.
 
     Other processes receive the end of a node and that of its DDS participant in two threads. A busy process that is
     still handling the first when the second arrives lists the node for as long as it runs: 5 of 140 loggers that were

@@ -42,7 +42,7 @@ END_WITH = "ABRACE_END_WITH"
 
 
 class _Stop(BaseException):
-    """A signal asks the process to end."""
+    """A signal requests the end of the process."""
 
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

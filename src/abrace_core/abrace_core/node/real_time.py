@@ -40,7 +40,7 @@ def collect_garbage() -> None:
 
 
 def collect_unfrozen_garbage() -> None:
-    """Collect garbage but for that of earlier objects that were frozen, and freeze what remains as well."""
+    """Collect garbage except among objects frozen earlier, and freeze the remaining ones as well."""
     gc.collect()
     gc.freeze()
 

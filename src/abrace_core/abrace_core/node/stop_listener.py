@@ -97,7 +97,7 @@ class StopListener:
         self._senders = StopSenders(heartbeat, time.monotonic())
 
     def close(self) -> None:
-        """Unsubscribe; the node does not destroy what it does not know."""
+        """Unsubscribe; the node does not destroy subscriptions that it does not know."""
         for subscription in self._subscriptions:
             subscription.destroy()
 

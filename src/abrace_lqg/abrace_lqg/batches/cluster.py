@@ -57,7 +57,7 @@ CONFIGURATION = {
     "distributed.admin.system-monitor.interval": "10s",
     "distributed.admin.system-monitor.gil.enabled": False,
 }
-"""Of this machine's cluster: a hundred looks a second at what a process does would cost more than its messages."""
+"""Settings of this machine's cluster: its profiler's hundred samples a second would cost more than the messages."""
 
 
 @contextlib.contextmanager
@@ -131,7 +131,7 @@ def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
 def _without_main() -> Iterator[None]:
     """Keep processes that are started in this block from importing the script that runs, as multiprocessing has it.
 
-    They need nothing of it, and one that has no `if __name__ == "__main__":` would start all anew in each of them.
+    They need nothing of it, and a script without `if __name__ == "__main__":` would run again in each of them.
     """
     main = sys.modules["__main__"]
     hidden: dict[str, Any] = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results of a long computation as a folder of Parquet files, one a batch: what is there is whole, and is kept.
+"""Results of a long computation as a folder of Parquet files, one for each batch. Existing files are complete and kept.
 
-A file is written beside and renamed, so that a computation that was killed goes on after its last batches. Each file
-names the inputs that it was computed from, by a checksum: results of other inputs are refused, never mixed.
+A file is written under a temporary name and renamed, so that a killed computation continues after its last batches.
+Each file has a checksum of the inputs that it was computed from: results of other inputs are refused, never mixed.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def checksum(*inputs: Any) -> str:
 
 
 def _add(found: Any, value: Any) -> None:
-    """Add a value to a hash, with what tells it from others of the same bytes."""
+    """Add a value to a hash, with its type and shape, so that different values with the same bytes differ."""
     if isinstance(value, np.ndarray):
         found.update(f"array {value.dtype.str} {value.shape}:".encode())
         found.update(np.ascontiguousarray(value).data)

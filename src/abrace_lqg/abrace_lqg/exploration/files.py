@@ -61,7 +61,7 @@ def save_exploration(
     covariance
         Of the simulation model's parameters: a set that is picked is proved with models drawn from it.
     distrust
-        A sentence for each of the models that says why it is not to be trusted, as from `distrusted`: an objection to
+        A sentence for each model that cannot be trusted, with the reason, as from `distrusted`: an objection to
         every set.
     """
     folder = Path(folder)

@@ -49,7 +49,7 @@ def pareto_front(force: NDArray[np.float64], response: NDArray[np.float64]) -> N
 def ranked(outcomes: Sequence[Outcome]) -> list[Outcome]:
     """Sets that take no more force than the given weights, by their robust response, the least first.
 
-    Those are left out whose gain, phase or delay margin is less than `design` asks for (the defaults of `Limits`).
+    Those are left out whose gain, phase or delay margin is less than `design` requires (the defaults of `Limits`).
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def report(outcomes: Sequence[Outcome], quantile: float) -> list[str]:
         best = ranked(outcomes)[:LISTED_ROBUST]
         force_of_given = "" if outcomes[0].refused else ", with no more command rms than the given weights"
         lines += [
-            f"most robust{force_of_given} and the margins that design asks for{':' if best else ': none'}",
+            f"most robust{force_of_given} and the margins that design requires{':' if best else ': none'}",
             *(_row(outcome, "") for outcome in best),
         ]
         tripped = sum(outcome.interlocked for outcome in found)

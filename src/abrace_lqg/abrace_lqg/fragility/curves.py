@@ -2,7 +2,7 @@
 """Fragility curves: the probability that a limit is exceeded, over the intensity of the ground motion.
 
 P(exceeded | im) = Phi(ln(im / median) / dispersion), fitted by maximum likelihood to how many of the loops at each
-intensity exceed the limit (Baker 2015, Earthquake Spectra 31(1)). The loops of one ground motion are no independent
+intensity exceed the limit (Baker 2015). The loops of one ground motion are no independent
 observations: many models and all intensities share it. So the confidence bands come from a bootstrap of the motions,
 whose loops are drawn together. A resample in which no loop exceeds the limit has an infinite median, and one in which
 all do has a median of 0. They count like the others, so an end of the median's interval can be infinite or 0.

@@ -140,7 +140,7 @@ def sensor_faults_figure(subjects: Sequence[Subject], limits: Mapping[str, float
                 axis.plot(ends, [100 * zero / whole] * 2, "--", color=colours[controller], linewidth=1)
         axis.axhline(100, color=REFERENCE, linewidth=1)
         axis.set_xticks(range(len(faults)), faults)
-        axis.set(title=_limit(name, limit), xlabel="fault: reading over truth")
+        axis.set(title=_limit(name, limit), xlabel="fault: reading over true value")
         if controllers:
             _legend(axis)
     axes[0].set_ylabel("median intensity (% of intact sensors)")

@@ -118,7 +118,7 @@ def _run_case(study: FragilityStudy, plant: LinearModel, case: Case) -> _Found:
 
 
 def _trip(study: FragilityStudy, plant: LinearModel, controller: Controller, case: Case, found: _Found) -> None:
-    """Run the loops anew in which an interlock acts, with the command ramped to zero from there on."""
+    """Run the loops in which an interlock acts again, with the command ramped to zero from there on."""
     if not study.interlocks:
         return
     fault = None if case.fault is None else study.faults[case.fault]

@@ -145,7 +145,7 @@ class FragilityStudy:
             raise AbraceError(f"fragility: ground motions {', '.join(self.motion_names)}: expected each once")
         names = [controller.name for controller in self.controllers]
         if len({ZERO_COMMAND, *names}) < 1 + len(names):
-            raise AbraceError(f"fragility: controllers {', '.join(names)}: expected a name of its own for each")
+            raise AbraceError(f"fragility: controllers {', '.join(names)}: expected a different name for each")
         model = self.models[0]
         for controller in self.controllers:
             if abs(controller.law.sample_period - self.sample_period) > 1e-9 * self.sample_period:

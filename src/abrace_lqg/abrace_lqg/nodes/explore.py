@@ -42,7 +42,7 @@ PARAMETERS = [
     Parameter("measured", [], "names of the measured quantities; []: as in the weights", element=str),
     *(Parameter(name, list(span), FACTORS, minimum=-12.0, maximum=12.0) for name, span in SPANS.items()),
     Parameter("sets", 256, "number of sets that are tried in addition to the given weights", minimum=1),
-    Parameter("seed", 0, "of the quasi-random sets and of the models drawn", minimum=0),
+    Parameter("seed", 0, "seed of the quasi-random sets and of the models drawn", minimum=0),
     Parameter("bags", [], "bags of tests whose ground motion is simulated", element=str),
     Parameter("noise", [], "seeds of banded noise, a record for each", element=int, minimum=0),
     Parameter("noise_band", [0.1, 10.0], "Hz, lowest and highest frequency of the noise", minimum=0.0),
@@ -50,9 +50,9 @@ PARAMETERS = [
     Parameter(
         "peak_acceleration", [0.980665], "m/s^2, one or several, to each of which records are scaled", minimum=1e-6
     ),
-    Parameter("models", 1, "the simulation model, and so many less one drawn from its covariance", minimum=1),
-    Parameter("faults", [], "failing sensors, as a1=0: reading over truth; tried one by one", element=str),
-    Parameter("interlocks", [], "limits, as d1=0.04 (SI units): exceeded for 10 ms they end the command", element=str),
+    Parameter("models", 1, "number of models: the simulation model, the others drawn from its covariance", minimum=1),
+    Parameter("faults", [], "failing sensors, such as a1=0: reading over true value; one at a time", element=str),
+    Parameter("interlocks", [], "limits, such as d1=0.04 (SI): the command ends when exceeded for 10 ms", element=str),
     Parameter(
         "quantile", 0.9, "share of the loops that respond no more than the robust response", minimum=0.0, maximum=1.0
     ),

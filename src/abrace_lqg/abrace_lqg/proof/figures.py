@@ -35,7 +35,7 @@ EVERY = 4
 """Of the frequencies, at which the models drawn from others are shown."""
 
 LEAST_SHOWN = 0.1
-"""Damping ratio [%] at which what has less is drawn."""
+"""Damping ratio [%] at which poles with less damping are drawn."""
 
 LINE_STYLES = ("-", "--", ":", "-.")
 """Of the signals, or of the models, in turn."""
@@ -161,8 +161,8 @@ def prediction_figure(proof: Proof) -> Figure:
         axis.set_ylabel(f"{kind}, rms [{shown_unit(names[0], 'SI')[1]}]")
         axis.grid(axis="y", alpha=0.3)
     figure.axes[0].legend(loc="upper left")
-    told = f"Rms predicted with {shown.name}, {shown.order} states, for a {proof.excitation}"
-    return captioned(figure, f"{told}, with zero command and controlled.")
+    heading = f"Rms predicted with {shown.name}, {shown.order} states, for a {proof.excitation}"
+    return captioned(figure, f"{heading}, with zero command and controlled.")
 
 
 def _critical_point(axis: Axes, proof: Proof) -> None:

@@ -154,7 +154,7 @@ def proven_design(
     draws, draw_seed
         Models drawn from each of these covariances, and their seed; 0: none.
     distrust
-        A sentence for each of the models that says why it is not to be trusted, as from `distrusted`: an objection.
+        A sentence for each model that cannot be trusted, with the reason, as from `distrusted`: an objection.
 
     Raises
     ------

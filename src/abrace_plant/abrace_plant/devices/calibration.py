@@ -71,7 +71,7 @@ class CommandChannel(Checked):
 
 
 class Channel(CommandChannel):
-    """A measured channel; `delay` is what amplifier, converter and anti-aliasing filter take [s]."""
+    """A measured channel; `delay` is that of amplifier, converter and anti-aliasing filter [s]."""
 
     filter: Filter | None = None
     delay: Annotated[float, pydantic.Field(ge=0, lt=1)] = 0.0
@@ -194,7 +194,7 @@ class Calibration:
         return (np.asarray(outputs) - self._command_offset) * self._command_scale
 
     def facts(self) -> dict[str, str]:
-        """For people: what a raw unit of each channel is, its offset, and its lag."""
+        """As text: gain, offset and lag of each channel."""
         if self.file is None:
             return {}
         return {

@@ -161,9 +161,9 @@ def load_calibration(path: Path, file: DeviceFile, rig: Rig) -> Calibration:
     """
     if file.calibration is None:
         return Calibration(None, rig.channel_names, commands_of(rig), rig.sample_rate)
-    beside = path.parent / file.calibration
-    content = read_calibration(beside)
+    part_path = path.parent / file.calibration
+    content = read_calibration(part_path)
     try:
         return Calibration(content, rig.channel_names, commands_of(rig), rig.sample_rate)
     except AbraceError as error:
-        raise AbraceError(f"calibration file {beside}: {error}") from error
+        raise AbraceError(f"calibration file {part_path}: {error}") from error

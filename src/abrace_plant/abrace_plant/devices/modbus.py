@@ -93,8 +93,8 @@ def register_blocks(path: Path, file: ModbusFile, rig: Rig) -> tuple[RegisterMap
     AbraceError
         Naming the file, the key, the value and what was expected; a rig that is too fast for the device.
     """
-    beside = path.parent / file.registers
-    registers = read_register_map(beside)
+    part_path = path.parent / file.registers
+    registers = read_register_map(part_path)
     if rig.sample_rate > registers.highest_rate:
         raise AbraceError(
             f"device file {path}: {registers.name} takes at most {registers.highest_rate:g} samples/s; the sample_rate "
@@ -104,7 +104,7 @@ def register_blocks(path: Path, file: ModbusFile, rig: Rig) -> tuple[RegisterMap
         inputs = blocks(registers.inputs, rig.channel_names, registers.word_order, WIDEST_GAP, "inputs")
         outputs = blocks(registers.outputs, commands_of(rig), registers.word_order, 0, "outputs")
     except AbraceError as error:
-        raise AbraceError(f"register map file {beside}: {error}") from error
+        raise AbraceError(f"register map file {part_path}: {error}") from error
     return registers, inputs, outputs
 
 

@@ -107,12 +107,12 @@ def packets(path: Path, file: UdpFile, rig: Rig) -> tuple[Packet, Packet]:
     AbraceError
         Naming the layout file, the field and what was expected.
     """
-    beside = path.parent / file.layout
-    layout = read_layout(beside)
+    part_path = path.parent / file.layout
+    layout = read_layout(part_path)
     try:
         return Packet(layout, "sample", rig.channel_names), Packet(layout, "command", commands_of(rig))
     except AbraceError as error:
-        raise AbraceError(f"layout file {beside}: {error}") from error
+        raise AbraceError(f"layout file {part_path}: {error}") from error
 
 
 class UdpDevice:
@@ -315,7 +315,7 @@ class UdpDevice:
                 return
 
     def _judge(self, packet: bytes, sender: tuple[str, int]) -> None:
-        """Keep what the packet says with its stamp and the ticks since the last good one, if it may be used."""
+        """Keep the packet's values with its stamp and the ticks since the last good one, if it may be used."""
         if sender != self._sender:
             raise Malformed("other_sender")
         content = self._samples.decode(packet)

@@ -68,7 +68,7 @@ class Zeroing:
             self.over.set()
 
     def result(self) -> tuple[CalibrationFile, str]:
-        """The new calibration file, and what has changed in words.
+        """The new calibration file, and the changes as text.
 
         Raises
         ------

@@ -232,7 +232,7 @@ class Emulator:
             entry[1]()
 
     def _obey(self) -> None:
-        """Carry out what came to the control port, and answer."""
+        """Carry out the requests received at the control port, and answer them."""
         with contextlib.suppress(BlockingIOError):
             while self._control is not None:
                 text, sender = self._control.recvfrom(1024)

@@ -86,7 +86,7 @@ class ModbusPort:
         await self._server.serve_forever(background=True)
 
     def serve(self, now: float) -> None:  # noqa: ARG002
-        """Take what has been written until `now`."""
+        """Receive what has been written until `now`."""
         while self._written:
             first, words = self._written.pop(0)
             self._registers[first : first + len(words)] = words

@@ -34,7 +34,7 @@ class Port(Protocol):
     links: dict[str, Link]
     """By the direction of what goes through them."""
     dropped: Counter[str]
-    """Commands that were not taken, by the name of what was wrong with them."""
+    """Counts of rejected commands, by reason."""
 
     def serve(self, now: float) -> None:
         """Take what has come and send what is due at `now` [s]."""

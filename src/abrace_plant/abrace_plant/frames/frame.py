@@ -2,8 +2,8 @@
 """A plane frame of straight members: its stiffness, its masses, and the bending moments at the ends of its members.
 
 Euler-Bernoulli members, small displacements, no shear deformation, no P-Delta, joints without size (Przemieniecki 1968,
-Theory of Matrix Structural Analysis, sec. 5.6). Each node moves horizontally, vertically and turns; supports hold some
-of these, a rigid floor gives several nodes one horizontal displacement. A hinge releases the moment at a member's end.
+sec. 5.6). Each node moves horizontally, vertically and turns; supports hold some of these, a rigid floor gives several
+nodes one horizontal displacement. A hinge releases the moment at a member's end.
 """
 
 from __future__ import annotations

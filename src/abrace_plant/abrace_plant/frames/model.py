@@ -31,7 +31,7 @@ class LevelBuilding(NamedTuple):
     damping: NDArray[np.float64]
     """(levels, levels) [N s/m]."""
     frequency_errors: NDArray[np.float64]
-    """(levels,) relative, of each of its modes beside the most similar one of the frame."""
+    """(levels,) relative error of each of its frequencies, compared with the most similar mode of the frame."""
 
 
 def level_building(building: FrameBuilding) -> LevelBuilding:
@@ -171,7 +171,7 @@ def building_model(building: FrameBuilding, devices: Sequence[int] = (), modes: 
 
 
 class TruncationError(NamedTuple):
-    """What a building's model with some of its excited modes lacks, beside that with all of them."""
+    """Errors of a building's model with some of its excited modes, compared with that with all of them."""
 
     frequency: float
     """[rad/s] of the first mode left out; infinite where none is."""

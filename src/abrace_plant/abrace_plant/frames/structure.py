@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mass and stiffness of a structure on the ground, and smaller models of it that say what they lose.
+"""Mass and stiffness of a structure on the ground, and smaller models of it with their errors.
 
     M q'' + C q' + K q = -L w + forces,     displacements = T q
 
@@ -53,7 +53,7 @@ class Structure:
     def condensed(self, kept: NDArray[np.intp]) -> Structure:
         """The `kept` coordinates alone; the others follow statically, with the mass that they have (Guyan 1965).
 
-        Exact where the others have no mass; the error otherwise is told by `frequency_errors`.
+        Exact where the others have no mass; otherwise `frequency_errors` gives the error.
         """
         other = np.setdiff1d(np.arange(len(self.mass)), kept)
         follow = np.zeros((len(self.mass), len(kept)))
@@ -64,7 +64,7 @@ class Structure:
         return self.projected(follow)
 
     def truncated(self, modes: int) -> Structure:
-        """The slowest `modes` alone, as coordinates of unit mass; what is left out is told by `mass_left_out`.
+        """The slowest `modes` alone, as coordinates of unit mass; `mass_left_out` gives the share left out.
 
         Raises
         ------
@@ -83,7 +83,7 @@ class Structure:
         )
 
     def frequency_errors(self, smaller: Structure) -> NDArray[np.float64]:
-        """(modes of the smaller one,) relative error of its frequencies, each beside the nearest shape of this one.
+        """(modes of the smaller one,) relative errors of its frequencies, compared mode by mode.
 
         A condensed structure lacks some modes: each of its shapes is compared with the one here that it is most like.
         """

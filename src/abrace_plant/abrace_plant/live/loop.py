@@ -77,7 +77,7 @@ class _Input:
             self.late += 1
             return ""
         if sequence == self.answered:
-            return f"two messages on {self.name} answer sample {sequence}; one sender was expected"
+            return f"two messages on {self.name} answer sample {sequence}, expected one sender"
         if sequence < now:
             self.late += 1
         self.answered = sequence
@@ -104,7 +104,7 @@ class _Input:
         if self.fault:
             return f"{self.name}: its sender reports a fault: {self.fault}"
         if any(self.last):
-            return f"{self.name} still asks for {', '.join(f'{value:g}' for value in self.last)}"
+            return f"{self.name} still requests {', '.join(f'{value:g}' for value in self.last)}"
         return ""
 
 

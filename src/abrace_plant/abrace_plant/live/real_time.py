@@ -55,7 +55,7 @@ def command_zeros(device: Device, groups: int, samples: int, patience: float) ->
 
 
 class RealTimeRun(threading.Thread):
-    """Runs a rig until it is told to end and all is at rest.
+    """Runs a rig until its end is requested and all is at rest.
 
     Parameters
     ----------

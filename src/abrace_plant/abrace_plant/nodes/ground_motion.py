@@ -45,7 +45,7 @@ class PlayServer(ActionServer):
     """
 
     def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Callable | None) -> None:
-        """Have `execute_callback` return the goal's result; without one the goal goes on."""
+        """Have `execute_callback` return the goal's result; without a result the goal continues."""
         if execute_callback is not None:
             super().notify_execute(goal_handle, execute_callback)
 
@@ -120,7 +120,7 @@ class GroundMotion(Commander):
 
     @property
     def at_rest(self) -> bool:
-        """Whether the table is, as far as it is known."""
+        """Whether the table is at rest, as far as known."""
         return self.playback is None or self.playback.done or self.let_go
 
     def cleanup(self) -> None:

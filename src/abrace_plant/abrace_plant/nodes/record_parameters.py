@@ -128,7 +128,7 @@ def motion_as_given(
     Raises
     ------
     AbraceError
-        If there is no such motion, or it asks for more than the table has.
+        If there is no such motion, or it exceeds the table's limits.
     """
     is_record = record not in (WHITE_NOISE, MULTISINE)
     if is_record:

@@ -160,10 +160,10 @@ def check_motion(
     demands = table_motion(acceleration, sample_rate, displacement).demands(table)
     beyond = [demand for demand in demands if demand.exceeded]
     if beyond:
-        told = "; ".join(f"{demand}, expected {remedies[demand.name]}" for demand in beyond)
+        excess = "; ".join(f"{demand}, expected {remedies[demand.name]}" for demand in beyond)
         share = min(demand.limit / demand.value for demand in beyond)
         # only if the table starts in the middle: otherwise the displacement does not scale
         fits = (
             f"; scaled by {math.floor(999 * share) / 1000:g} it would fit" if share > 0.002 and not displacement else ""
         )
-        raise AbraceError(f"ground motion {name} exceeds the table's limits: {told}{fits}")
+        raise AbraceError(f"ground motion {name} exceeds the table's limits: {excess}{fits}")

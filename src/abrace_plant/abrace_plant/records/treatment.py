@@ -30,7 +30,7 @@ STOPBAND = 100.0
 RESAMPLING_STOPBAND = 105.0
 """The same where the limit is half the lower sample rate, at which images of the highest frequencies add up."""
 BAND_LIMIT = 25.0
-"""Of the motions that nodes play, unless another is asked for [Hz]."""
+"""Highest frequency of the motions that nodes play, unless another is given [Hz]."""
 LOWEST_BAND_LIMIT = 0.1
 """[Hz]; no earthquake is left below it, and the filter, whose length grows as it falls, would take minutes."""
 FADE = 0.5
@@ -226,7 +226,7 @@ def _resample(
 ) -> NDArray[np.float64]:
     """The acceleration at the sample rate, (samples,), with zeros before and after it: nothing wraps round.
 
-    A Kaiser-windowed low-pass filter, applied in its polyphase form (Oppenheim and Schafer, sec. 4.7): its pass band
+    A Kaiser-windowed low-pass filter, applied in its polyphase form (Oppenheim and Schafer 2010, ch. 4): its pass band
     ends at 0.8 of the limit, its stop band starts at the limit.
     """
     ratio = Fraction(float(sample_rate * period)).limit_denominator(MAX_RATIO)

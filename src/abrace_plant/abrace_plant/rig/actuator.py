@@ -40,7 +40,7 @@ class Actuator:
     velocity_feedback
         c [N s/m]; c / tau is the stiffness of the oil column [N/m].
     flow_limit
-        Greatest rate [N/s] at which the valve's flow changes the force with the end held: the oil column's stiffness
+        Greatest rate [N/s] at which the valve's flow changes the force with the rod blocked: the oil column's stiffness
         times the velocity without load.
     stroke_limit
         Travel to each side [m], at whose ends the piston meets the stops.
@@ -70,7 +70,7 @@ class Actuator:
     stall_force: float = np.inf
 
     def bench_model(self) -> LinearModel:
-        """U to f with the actuator's end held, as on the bench (Fig. 2)."""
+        """U to f with the rod blocked, as on the bench (Fig. 2)."""
         a = np.array([[-1.0, self.integral_rate], [-self.lag, 0.0]]) / self.lag
         b = np.array([[1.0], [self.lag]]) / self.lag
         return LinearModel(a, b, np.array([[1.0, 0.0]]), np.zeros((1, 1)), ("U",), ("f",))

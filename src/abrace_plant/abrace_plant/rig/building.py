@@ -49,7 +49,7 @@ class Building:
     heights
         (floors,) of the storeys [m]; empty: all alike.
     frequency_errors
-        (floors,) of a frame condensed to its levels: relative, of each mode beside the whole frame's; empty: no frame.
+        (floors,) of a frame condensed to its levels: relative error of each frequency; empty: no frame.
     """
 
     masses: NDArray[np.float64]
@@ -86,7 +86,7 @@ def storey_direction(storey: int, floors: int) -> NDArray[np.float64]:
 
 
 def gravity_stiffness(masses: NDArray[np.float64], heights: float | NDArray[np.float64]) -> NDArray[np.float64]:
-    """What the weight takes from the stiffness (floors, floors) [N/m]: P-Delta (Wilson 2002, sec. 11).
+    """What the weight takes from the stiffness (floors, floors) [N/m]: P-Delta (Wilson 2002, ch. 11).
 
     In a storey of height h [m], one of the `heights`, that leans by a drift d, the weight W of the `masses` (floors,)
     [kg] above it pushes on with W d / h.
@@ -96,7 +96,7 @@ def gravity_stiffness(masses: NDArray[np.float64], heights: float | NDArray[np.f
 
 
 def shear_stiffness(storey_stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Stiffness (floors, floors) [N/m] of a shear building, each floor tied to its neighbours (Chopra, sec. 9.1).
+    """Stiffness (floors, floors) [N/m] of a shear building, each floor tied to its neighbours (Chopra 2017, ch. 9).
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def shear_stiffness(storey_stiffness: NDArray[np.float64]) -> NDArray[np.float64
 def stiffness_of_modes(
     masses: NDArray[np.float64], frequencies: NDArray[np.float64], shapes: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Stiffness (floors, floors) [N/m] whose modes are given: K = M Phi W^2 Phi^T M (Chopra, sec. 10.7).
+    """Stiffness (floors, floors) [N/m] whose modes are given: K = M Phi W^2 Phi^T M (Chopra 2017, ch. 10).
 
     Measured shapes are never quite orthogonal. They are replaced by the orthonormal set nearest to them in the mass
     metric, Phi S^(-1/2) with S = Phi^T M Phi (Loewdin 1950), which prefers none of them; the frequencies stay exact.
@@ -153,7 +153,7 @@ def stiffness_of_modes(
 def modal_damping(
     masses: NDArray[np.float64], stiffness: NDArray[np.float64], ratios: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Damping matrix (floors, floors) [N s/m] with a given ratio in each mode (Chopra, sec. 11.4.2).
+    """Damping matrix (floors, floors) [N s/m] with a given ratio in each mode (Chopra 2017, sec. 11.4).
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def modal_damping(
 def rayleigh_damping(
     masses: NDArray[np.float64], stiffness: NDArray[np.float64], modes: tuple[int, int], ratios: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Damping matrix (floors, floors) [N s/m], a0 M + a1 K, with a given ratio in two modes (Chopra, sec. 11.4.1).
+    """Damping matrix (floors, floors) [N s/m], a0 M + a1 K, with a given ratio in two modes (Chopra 2017, sec. 11.4).
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ class BraceCharacteristics:
     Parameters
     ----------
     bench_gain_error
-        Greatest departure of |f/U| from 1 with the actuator's end held, from 0 to 30 Hz.
+        Greatest departure of |f/U| from 1 with the rod blocked, from 0 to 30 Hz.
     bench_lag
         Delay [s] whose phase is nearest to that of f/U on the bench, in least squares from 0 to 30 Hz.
     antiresonances
@@ -83,7 +83,7 @@ class Characteristics:
 
 
 def bench_response(actuator: Actuator, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """f/U with the actuator's end held (Fig. 2) at `omega` (lines,) [rad/s], its command delay included."""
+    """f/U with the rod blocked (Fig. 2) at `omega` (lines,) [rad/s], its command delay included."""
     response = actuator.bench_model().frequency_response(omega)[:, 0, 0]
     return np.asarray(response * np.exp(-1j * omega * actuator.command_delay))
 

@@ -34,5 +34,5 @@ def expect(holds: bool, key: str, found: object, expected: str) -> None:
 def expect_one_each(
     values: list[float] | list[list[float]], key: str, count: int, of: str, what: str = "numbers"
 ) -> None:
-    """The `values` at a `key` must be one each for a `count` `of` something; `what` they are is in the error."""
+    """Require one of the `values` at a `key` for each of `count` `of`; `what` describes them in the error."""
     expect(len(values) == count, key, f"{len(values)} {what}", f"one for each of {count} {of}")

@@ -222,7 +222,7 @@ def _lag(lag: float, delay: float, period: float) -> Matrices:
 
 
 def _second_difference(factor: float) -> Matrices:
-    """factor (r(k) - 2 r(k-1) + r(k-2)): what is left of a smooth motion is small, of white noise 2.4 times it."""
+    """factor (r(k) - 2 r(k-1) + r(k-2)): small for a smooth motion, 2.4 times the rms for white noise."""
     a, b = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[1.0], [0.0]])
     return a, b, factor * np.array([[-2.0, 1.0]]), np.array([[factor]])
 

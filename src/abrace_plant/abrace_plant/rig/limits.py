@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of the interlocks of a rig: those that its file gives, and for the others what follows from the rig's numbers.
+"""Limits of the interlocks of a rig: from its file, or else computed from the rig's other numbers.
 
 No rig is without interlocks: one that the file does not name has a limit computed from the sensors' ranges, the
 actuators' capacity and stroke, the storeys' height and the table. The terms are those of a servo-controller's limit

@@ -21,7 +21,7 @@ FLOOR_COLOUR, TABLE_COLOUR = "0.55 0.65 0.75 1", "0.35 0.35 0.35 1"
 
 
 def joint_names(rig: Rig) -> tuple[str, ...]:
-    """Names of the joints, floor 1 first: what a JointState names its positions.
+    """Names of the joints in JointState messages, floor 1 first.
 
     Parameters
     ----------

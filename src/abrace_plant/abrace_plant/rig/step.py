@@ -70,7 +70,7 @@ class Constants(NamedTuple):
     ages: NDArray[np.int64]
     """(segments, groups) samples since the acting command was sent."""
     responses: NDArray[np.float64]
-    """(segments, rows, states) of what a substep adds to the state, a row for each cause: the state's own entries
+    """(segments, rows, states) increments of the state in a substep, a row for each cause: the state's own entries
     before it; the ground acceleration at its begin, and its change until its end; the commands; the corrections and
     frictions at its begin, and their change until its end (phi_1 and phi_2 of ETD2RK)."""
     filters: NDArray[np.float64]

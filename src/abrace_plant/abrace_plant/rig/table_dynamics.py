@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The shake table as it follows its command, with the building on it.
 
-After Blondet and Esparza (1988) and Conte and Trombetti (2000).
+The model follows Blondet and Esparza (1988) and Conte and Trombetti (2000).
 
 The table, of mass m, is held by the oil columns of its actuators, of stiffness k and damping c, at the displacement y_c
 that is commanded. With e = y - y_c the following error, w_c = y_c'' the commanded acceleration and w = y'' that of the

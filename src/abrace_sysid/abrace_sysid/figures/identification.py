@@ -269,8 +269,8 @@ def stabilization_diagram(found: Stabilization, reference: list[float] | None = 
     axis.set_ylabel("number of poles")
     axis.set_yticks([poles.order for poles in found.orders][:: max(1, len(found.orders) // 10)])
     legend_above(figure, axis, len(kinds))
-    told = "Poles of rising order and their agreement with those of the previous order; grey: mean amplitude"
-    return captioned(figure, f"{told} from {found.measured.input}; dotted: the modes found.")
+    text = "Poles of rising order and their agreement with those of the previous order; grey: mean amplitude"
+    return captioned(figure, f"{text} from {found.measured.input}; dotted: the modes found.")
 
 
 def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:

@@ -48,8 +48,8 @@ def pole_chart(poles: Mapping[str, NDArray[np.complex128]], reference: Mapping[s
     drawn = [(name, values, REFERENCES[i % 2]) for i, (name, values) in enumerate(reference.items())]
     drawn += [(name, values, STYLES[i % 3]) for i, (name, values) in enumerate(poles.items())]
     sets = [(name, [(w, z, 0.0, 0.0) for w, z in pole_table(values)], style) for name, values, style in drawn]
-    told = "Identified poles: frequency and damping ratio of each mode, relative to those of the " + sets[0][0]
-    return captioned(_rows(sets, sets[0][0], sets[0][1]), f"{told}.")
+    text = "Identified poles: frequency and damping ratio of each mode, relative to those of the " + sets[0][0]
+    return captioned(_rows(sets, sets[0][0], sets[0][1]), f"{text}.")
 
 
 def confidence(sets: Mapping[str, Sequence[PoleInterval]]) -> Figure:
@@ -68,8 +68,8 @@ def confidence(sets: Mapping[str, Sequence[PoleInterval]]) -> Figure:
         )
         for i, (name, pairs) in enumerate(sets.items())
     ]
-    told = "95 % intervals of frequency and damping ratio of each mode, relative to the estimate from"
-    return captioned(_rows(drawn, drawn[-1][0], drawn[-1][1]), f"{told} {drawn[-1][0]}.")
+    text = "95 % intervals of frequency and damping ratio of each mode, relative to the estimate from"
+    return captioned(_rows(drawn, drawn[-1][0], drawn[-1][1]), f"{text} {drawn[-1][0]}.")
 
 
 Pair = tuple[float, float, float, float]

@@ -65,7 +65,7 @@ class Observation:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.measured).all() and np.isfinite(self.excitation).all()):
-            raise AbraceError(f"{self.source}: a line that is not finite")
+            raise AbraceError(f"{self.source}: a frequency line has a value that is not finite")
         dead = [name for name, column in zip(self.outputs, self.measured.T, strict=True) if not np.any(column)]
         if dead:
             raise AbraceError(f"{self.source}: channel {', '.join(dead)} is zero throughout, expected a response")

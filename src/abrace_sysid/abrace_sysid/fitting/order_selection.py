@@ -256,7 +256,7 @@ def _pairs_with(
             (trial,) = try_orders(observations, measured, [first._replace(pairs=pairs)], groups, starts=starts)
             if (
                 trial.estimate is None and first.reals == 2
-            ):  # its fast poles, of which one stands for lags, filters and delays together
+            ):  # its fast poles, of which one represents lags, filters and delays together
                 simpler = first._replace(pairs=pairs, reals=1, servo="direct")
                 (trial,) = try_orders(observations, measured, [simpler], groups, starts=starts)
             trials.append(trial)

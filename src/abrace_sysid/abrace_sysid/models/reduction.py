@@ -110,7 +110,7 @@ def balanced_truncation(model: LinearModel, states: int, scales: Scales) -> Redu
         reduced model is unstable.
     """
     if model.sample_period or not model.is_stable():
-        raise AbraceError("balanced truncation: a continuous, stable model was expected")
+        raise AbraceError("balanced truncation: expected a continuous, stable model")
     # balance A: states in different units differ by many powers of ten, and rounding should affect only weak states
     _, (size, _) = linalg.matrix_balance(model.a, permute=False, separate=True)
     model = replace(model, a=model.a * size / size[:, None], b=model.b / size[:, None], c=model.c * size)

@@ -103,12 +103,12 @@ class Nonlinearity:
     @property
     def text(self) -> str:
         """The elements as text; those with a force in newtons with its size."""
-        said = []
+        texts = []
         for one in self.elements:
             where = f"{'storey' if one.kind in OF_STOREYS else 'brace group'} {one.place}"
             amount = f" {one.limit:.3g} N" if UNITS[one.kind] == "N" else ""
-            said.append(f"{one.kind} in {where}{amount}")
-        return ", ".join(said)
+            texts.append(f"{one.kind} in {where}{amount}")
+        return ", ".join(texts)
 
     @classmethod
     def of_model(cls, model: LinearModel) -> Nonlinearity | None:

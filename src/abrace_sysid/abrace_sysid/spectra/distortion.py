@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Levels of nonlinear distortion of a transfer function, from the lines of a multisine test that no input excites.
 
-The distortion at these lines is representative of that at the excited lines between them (Schoukens and Pintelon
+The distortion at these lines is representative of that at the excited lines between them (Pintelon and Schoukens
 2012, sec. 4.3). Even powers of the input appear at the even lines, odd powers at the odd lines. Divided by the input,
 the distortion is the error of the transfer function that it causes, for these phases of the multisine.
 """

@@ -91,7 +91,7 @@ def hold_and_delay(
 ) -> NDArray[np.complex128]:
     """(lines,) factor of hold and delay in the response, for frequencies far below half the sample rate.
 
-    See Franklin et al. 1998, ch. 6.
+    Discrete equivalents: Franklin et al. 1998, ch. 6.
 
     Parameters
     ----------

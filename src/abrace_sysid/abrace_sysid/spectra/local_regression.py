@@ -144,7 +144,7 @@ class _Grid:
         for j in range(unknowns):
             length = np.sqrt(_square(q[j]).sum(axis=0))
             if not (length > DEPENDENT * excited[j]).all():
-                raise AbraceError("local fits: an input that is zero or repeats another within the band")
+                raise AbraceError("local fits: an input is zero, or repeats another one, within the band")
             q[j] /= length
             triangle[j, j] = length
             for k in range(j + 1, unknowns):

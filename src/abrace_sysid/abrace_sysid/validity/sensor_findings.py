@@ -49,7 +49,7 @@ def dead(run: Run | MeasuredData, inputs: Sequence[str], reasons: Mapping[str, s
     reasons
         Why each channel is dead, by name (`recordings.dead_channels`).
     """
-    check, advice = "channels that answer", "Check sensor, cable and channel number, and repeat the test"
+    check, advice = "channels respond", "Check sensor, cable and channel number, and repeat the test"
     if len(reasons) == len(run.names) and inputs == (signals.GROUND,):
         reasons = {signals.GROUND: "no channel answers to it"}
     if not reasons:
@@ -258,4 +258,6 @@ def late(name: str, others: str, lag: float, source: str) -> list[Finding]:
         cause, advice = "lag", "Give these sensors the same filter, or sample them together"
         reads = "read" if first.startswith("the") else "reads"
         meaning = f"{first} {reads} {1e3 * abs(lag):.2g} ms later than {second} in {source}"
-    return [Finding("sensors in time", f"{name}, {source}", abs(lag), LATE[0], "s", verdict, cause, meaning, advice)]
+    return [
+        Finding("sensors synchronous", f"{name}, {source}", abs(lag), LATE[0], "s", verdict, cause, meaning, advice)
+    ]

@@ -13,7 +13,7 @@ const REFUSED = 4401, FULL = 4429;
 const find = (id) => document.getElementById(id);
 const charts = {};
 let socket = null, rig = null, heard = 0, begun = 0, entered = false, refused = false;
-let wanted = false; // STOP has been pressed here, and the server has not said yet that it stands
+let wanted = false; // STOP has been pressed here, and the server has not confirmed it yet
 let token = "";
 
 // what is written after # never leaves the browser; it is not left in the address either
@@ -60,7 +60,7 @@ function send(message) {
 
 function askForToken() {
   find("enter").hidden = false;
-  find("enter-note").textContent = token ? "This token is not the right one." : "This server asks for its token.";
+  find("enter-note").textContent = token ? "Wrong token." : "Enter the server's token.";
   find("token").focus();
 }
 
