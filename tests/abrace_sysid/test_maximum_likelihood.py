@@ -67,6 +67,15 @@ def command_lines(command_test):
     return observe(command_test, "U")
 
 
+def test_a_fit_that_starts_from_another_of_the_same_inputs_has_its_drives(command_lines, table_lines, rough):
+    tests = [replace(table_lines.thinned(700), poles=TABLE), command_lines.thinned(700)]
+    first = fit_poles(tests, rough, spread="none")
+    again = fit_poles(tests, first, spread="none")
+    assert again.iterations <= 2
+    assert again.cost == pytest.approx(first.cost, abs=0.1)
+    np.testing.assert_allclose(again.poles[:3], first.poles[:3], rtol=1e-6)
+
+
 def test_poles_of_four_minutes_are_ten_times_better_than_the_project_asks_of_five(
     table_lines, command_lines, rough, true
 ):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from abrace_core.errors import AbraceError
+from abrace_core.noise import banded_noise
 from abrace_sysid.recordings import longest_piece, prepare, require_at_rest, require_excited
 from abrace_sysid.spectra.estimation import frequency_responses
 
@@ -128,6 +129,18 @@ def test_a_value_that_is_not_finite_is_refused_with_its_place(short_test):
     values[[700, 900]] = np.nan
     with pytest.raises(AbraceError, match="channel x3 has 2 values that are not finite, first at sample 700"):
         prepare(with_channel(short_test, "x3", values), ["w"], BAND)
+
+
+def test_a_weak_slow_test_of_the_table_is_no_rest_and_the_noise_of_its_sensor_is_no_motion(short_test, command_test):
+    """A tall building: 0.02 m/s^2 to 5 Hz, and an accelerometer with noise of a tenth of that."""
+    random = np.random.default_rng(1)
+    slow = banded_noise(len(short_test.outputs), 500.0, (0.1, 5.0), 0.02, 1)
+    moved, still = (0.002 * random.standard_normal(len(run.outputs)) for run in (short_test, command_test))
+    table = replace(short_test, ground_acceleration=slow + moved)
+    require_at_rest(replace(command_test, ground_acceleration=still), "w", table)
+    creeping = still + 0.1 * np.resize(slow, len(still))
+    with pytest.raises(AbraceError, match=r"rms of w 0\.002 m/s\^2, and 0\.02 in"):
+        require_at_rest(replace(command_test, ground_acceleration=creeping), "w", table)
 
 
 def test_an_input_must_be_excited_throughout_and_another_at_rest(short_test, command_test):

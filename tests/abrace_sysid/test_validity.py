@@ -16,10 +16,11 @@ from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.fitting.pole_estimate import PoleInterval
 from abrace_sysid.identification import identify
 from abrace_sysid.validation import compare, predicted
+from abrace_sysid.validity import rig_findings
 from abrace_sysid.validity.finding import Finding, Validity, Verdict
 from abrace_sysid.validity.judgement import judge, judge_failure
 from abrace_sysid.validity.kinematics import kinematics
-from abrace_sysid.validity.mechanics import backlashes, storey_frictions
+from abrace_sysid.validity.mechanics import Backlash, backlashes, storey_frictions
 from abrace_sysid.validity.model_findings import disagreeing, lag, lag_of_response
 from abrace_sysid.validity.motion import Motion
 from abrace_sysid.validity.sensor_findings import dead, saturated, spiked
@@ -164,6 +165,15 @@ def test_a_late_accelerometer_is_measured(table_test):
     assert found.lags == pytest.approx({"a1": 0.0, "a2": 0.0, "a3": 0.0, "w": 0.003}, abs=2e-4)
     (found,) = backlashes(Motion.of(changed(table_test, "xf", late), 10.0), BAND)
     assert found.lag == pytest.approx(0.003, abs=2e-4)
+
+
+@pytest.mark.parametrize(("deviation", "named"), [(0.0013, False), (0.0001, True)])
+def test_a_stroke_is_late_only_if_that_is_certain(monkeypatch, table_test, deviation, named):
+    """A weakly shaken tower of 0.2 Hz: 3.0 ms, give or take 1.3."""
+    stroke = Backlash(1, "xf", 0.0, 1e-4, 0.0, -0.003, deviation)
+    monkeypatch.setattr(rig_findings, "backlashes", lambda _motion, _band: (stroke,))
+    found = rig_findings.backlash([(Motion.of(table_test, BAND[1]), BAND)])
+    assert [one.cause for one in found if one.verdict] == (["lag"] if named else [])
 
 
 def test_friction_of_a_storey_is_measured_in_newtons_and_of_the_others_none(rig):

@@ -83,8 +83,8 @@ class Backlash:
         Total clearance, from side to side, and its standard deviation [m].
     share
         Half the clearance over the stroke's rms.
-    lag
-        Time by which the stroke's sensor is later than the floors' sensors [s].
+    lag, lag_deviation
+        Time by which the stroke's sensor is later than the floors' sensors, and its standard deviation [s].
     """
 
     group: int
@@ -93,6 +93,7 @@ class Backlash:
     deviation: float
     share: float
     lag: float
+    lag_deviation: float
 
 
 @dataclass(frozen=True)
@@ -302,6 +303,9 @@ def backlashes(motion: Motion, band: tuple[float, float]) -> tuple[Backlash, ...
         size = float(np.std(motion.series(motion.spectra[stroke], band)))
         clearance, deviation = 2 * float(coefficients[0]), 2 * float(deviations[0])
         own_floor = 1 + int(np.argmax(np.abs(coefficients[1 : 1 + len(displacements)])))
-        lag = -float(coefficients[own_floor + len(linear)] / coefficients[own_floor])
-        found.append(Backlash(group, stroke, clearance, deviation, clearance / 2 / size, lag))
+        lag, uncertain = (
+            float(of[own_floor + len(linear)] / abs(coefficients[own_floor])) for of in (coefficients, deviations)
+        )
+        lag *= -float(np.sign(coefficients[own_floor]))
+        found.append(Backlash(group, stroke, clearance, deviation, clearance / 2 / size, lag, uncertain))
     return tuple(found)

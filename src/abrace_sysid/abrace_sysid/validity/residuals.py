@@ -255,7 +255,8 @@ def _without_transient(
     basis = np.column_stack(columns)
     found = np.empty_like(left)
     for j, column in enumerate(left.T):
-        triangle = triangular_factor(stacked(np.column_stack([basis, column]) / level[:, j, None]))
+        both = np.column_stack([basis, column]).astype(np.complex128) / level[:, j, None]
+        triangle = triangular_factor(stacked(both))
         scale = np.linalg.norm(triangle[:-1, :-1], axis=0)
         solved = np.linalg.lstsq(triangle[:-1, :-1] / scale, triangle[:-1, -1], rcond=None)[0] / scale
         found[:, j] = column - basis @ solved

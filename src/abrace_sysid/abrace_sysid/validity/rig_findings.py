@@ -96,7 +96,7 @@ def backlash(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[Findin
     late_ones = [
         finding
         for motion, one in each
-        if one.group not in loose or motion.driven(one.group)
+        if (one.group not in loose or motion.driven(one.group)) and abs(one.lag) > limit * one.lag_deviation
         for finding in late(one.stroke, "the floors", one.lag, motion.source)
         if finding.verdict
     ]
