@@ -252,36 +252,31 @@ def dask_share() -> dict[str, float]:
     given = study(8, 50_000, WEAK)
     batches = given.batches()
     inside: list[float] = []
-    everything: list[float] = []
+    worker: list[float] = []
+    client_and_scheduler: list[float] = []
     with tempfile.TemporaryDirectory() as name, cluster(workers=1) as client:
         parts = Parts(name, "inputs", len(batches))
 
-        def note(numbered: tuple[int, Any], result: tuple[Any, float]) -> None:
+        def note(numbered: tuple[int, Any], result: tuple[Any, float, float]) -> None:
             parts.write(numbered[0], result[0])
             inside.append(result[1])
-            everything.append(_all_cpu())
+            worker.append(result[2])
+            client_and_scheduler.append(time.process_time())
 
         compute(client, _timed_batch, given, list(enumerate(batches)), note)
     # from the first batch on: without the start of the process, its imports, and the sending of the study
-    spent, worked = everything[-1] - everything[0], sum(inside[1:])
+    spent = sum(each[-1] - each[0] for each in (worker, client_and_scheduler))
+    worked = sum(inside[1:])
     return {"batches": len(batches), "cpu_seconds_a_batch": worked / len(inside[1:]), "dask_share": spent / worked - 1}
 
 
-def _timed_batch(given: FragilityStudy, numbered: tuple[int, Any]) -> tuple[Any, float]:
-    """The table of a batch, and the processor seconds of this thread for it."""
+def _timed_batch(given: FragilityStudy, numbered: tuple[int, Any]) -> tuple[Any, float, float]:
+    """The table of a batch, the processor seconds of this thread for it, and those of this process at its end."""
     from abrace_lqg.fragility.loops import compute_batch
 
     begin = time.thread_time()
     table = compute_batch(given, numbered[1])
-    return table, time.thread_time() - begin
-
-
-def _all_cpu() -> float:
-    """Processor seconds of this process and of its living descendants."""
-    import psutil
-
-    processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
-    return float(sum(sum(process.cpu_times()[:2]) for process in processes))
+    return table, time.thread_time() - begin, time.process_time()
 
 
 def workers() -> list[tuple[float, float]]:

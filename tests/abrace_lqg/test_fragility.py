@@ -177,6 +177,7 @@ def test_batches_are_fixed_by_the_study_and_hold_every_case_once(monkeypatch):
         ({"faults": (Fault("a7", 0.0),)}, "fault a7=0: no controller measures a7, expected one of a1"),
         ({"sample_period": 0.01}, "every 0.002 s, expected the motions' 0.01 s"),
         ({"models": ()}, "no models"),
+        ({"interlocks": (Interlock("d1", -0.01, 5),)}, "interlock d1=-0.01: expected a limit above 0"),
         (
             {"interlocks": (Interlock("d9", 0.01, 5),)},
             "interlock d9: the model has no such quantity, expected one of x1, .* d1, d2, d3",

@@ -168,6 +168,8 @@ class FragilityStudy:
         outputs = with_drifts(model).outputs
         compared = self.implausibility.outputs if self.implausibility else ()
         for interlock in self.interlocks:
+            if not interlock.value > 0:
+                raise AbraceError(f"interlock {interlock.quantity}={interlock.value:g}: expected a limit above 0")
             if interlock.quantity not in (*outputs, *compared, STUCK):
                 raise AbraceError(
                     f"interlock {interlock.quantity}: the model has no such quantity, "
