@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from campaign_file import TOP, day, mistakes_of
@@ -168,6 +169,33 @@ def test_a_design_that_its_model_refuses_is_refused_or_foretold_where_that_comes
     (care,) = check_campaign(tmp_path / "demo.yaml").cares
     assert care.startswith("step lqg3: design refused: gain margin")
     assert care.endswith("as predicted with the model of the rig file")
+
+
+def test_a_disk_that_has_room_for_bags_but_not_for_figures_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=3e6))
+    assert problems(tmp_path, f"{{name: a, test: {{duration: 9.0, ground_motion: {EL_CENTRO}}}}}") == [
+        f"bags of about 1 MB and results of about 4 MB, expected less than the 3 MB free in {Path.cwd()}"
+    ]
+
+
+def test_a_campaign_that_is_stopped_in_its_report_says_how_it_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
+    save_model(rig.model, tmp_path / "rig.json")
+    path = day(tmp_path, "{name: lqg3, design: {model: rig.json, weights: lqg3}}")
+    monkeypatch.setattr("abrace.campaign.runner.Runner.run_step", lambda *_: {})
+
+    def stopped(_: Path) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("abrace.campaign.course.make_report", stopped)
+    assert main(["campaign", str(path)]) == 130
+    said = "1 of 1 steps are whole, in results/_unfinished/day; the same command goes on with the report\n"
+    assert said in capsys.readouterr().err
 
 
 def test_the_campaign_of_the_skyhook_is_whole_and_sets_it_beside_lqg3() -> None:

@@ -69,5 +69,7 @@ def test_a_folder_that_is_to_be_new_and_is_there_is_told_from_a_file(tmp_path: P
     with pytest.raises(FileExistsError):
         make_folder(tmp_path / "bag", new=True)
     (tmp_path / "results").write_text("")
+    with pytest.raises(FileExistsError):
+        make_folder(tmp_path / "results", new=True)
     with pytest.raises(NotADirectoryError):
         make_folder(tmp_path / "results")

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A control law of one's own: what is made of its class, and what goes wrong in it."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,7 @@ def test_a_parameter_that_ros_cannot_have_is_named(default):
     ("answer", "message"),
     [
         (lambda _: 1 / 0, "Law.force: ZeroDivisionError: division by zero"),
+        (lambda _: sys.exit(3), "Law.force: SystemExit: 3"),
         (lambda _: None, "Law.force: returned None, expected a number for each of 1 brace groups"),
         (lambda _: "push", "Law.force: returned 'push', expected a number"),
         (lambda _: 10**400, "Law.force: returned 10+, expected a number"),

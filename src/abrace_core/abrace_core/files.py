@@ -65,10 +65,10 @@ def make_folder(path: Path, *, new: bool = False) -> None:
     try:
         path.mkdir()
     except FileExistsError as error:
-        if not path.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path)) from error
         if new:
             raise
+        if not path.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path)) from error
     else:
         sync(path.parent)
 

@@ -95,7 +95,7 @@ def made_law(law: Callable[..., Law], options: dict[str, Any]) -> Law:
         raise AbraceError(f"{law.__name__}: {_in_one_line(error)}") from error
 
 
-def _in_one_line(error: Exception) -> str:
+def _in_one_line(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
 
 
@@ -153,5 +153,5 @@ class GuardedLaw:
     def _call(self, method: str, *arguments: Any) -> Any:
         try:
             return getattr(self._law, method)(*arguments)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise AbraceError(f"{self._name(method)}: {_in_one_line(error)}") from error

@@ -96,11 +96,15 @@ class _Course:
         write_origin(self._folders.unfinished, self._campaign.path)
         with self._display() as progress:
             self._run_steps(progress)
-        self._write_timing()
-        tables = make_report(self._folders.unfinished)
-        self._folders.settle_report()
-        doubtful = doubts(read_results(self._folders.unfinished).timing)
-        self._folders.swap_in()
+        try:
+            self._write_timing()
+            tables = make_report(self._folders.unfinished)
+            self._folders.settle_report()
+            doubtful = doubts(read_results(self._folders.unfinished).timing)
+            self._folders.swap_in()
+        except BaseException:
+            self._say_how_to_go_on("the report")
+            raise
         return Outcome(self._folders.results, tables, doubtful)
 
     @contextlib.contextmanager
@@ -159,14 +163,18 @@ class _Course:
         write_text(self._folders.unfinished / "timing.json", json.dumps(timing, indent=1))
 
     def _leave(self, step: str, error: BaseException) -> None:
-        """Print where the results of an interrupted or failed campaign are; if it failed, report the steps done."""
+        """Report the steps done before the one that failed; print where the results are."""
         if isinstance(error, RunFailed):
             with contextlib.suppress(AbraceError):  # the first error is the one that is reported
                 self._write_timing({"step": step, "cause": str(error)})
                 make_report(self._folders.unfinished)
+        self._say_how_to_go_on(step)
+
+    def _say_how_to_go_on(self, what: str) -> None:
+        """Print where the results of an interrupted campaign are, and what it continues with."""
         count = f"{len(self._done.steps)} of {len(self._names)} steps are complete"
         again = "the same command" if self._start is None else f"abrace campaign {self._campaign.path}, without --from,"
-        where = f"in {self._folders.unfinished}; {again} continues with {step}"
+        where = f"in {self._folders.unfinished}; {again} continues with {what}"
         print(f"abrace: {count}, {where}", file=sys.stderr, flush=True)
 
 

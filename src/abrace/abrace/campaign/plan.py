@@ -25,6 +25,8 @@ BYTES_OF_A_NUMBER = 13
 """Compressed size in a bag of one channel or command at one sample; 10 to 13 in the demo's bags."""
 BYTES_OF_FACTS = 200_000
 """Size of a bag's facts, attachments and diagnostics."""
+BYTES_OF_REPORT, BYTES_OF_FIGURES = 3_000_000, 1_500_000
+"""Size of the report, and of the figures of a test, in it and as files; about 5 MB for two tests of five storeys."""
 STARTING = 3.0
 """Seconds that a test takes in addition to its run."""
 LOCKSTEP = 8.0
@@ -45,9 +47,10 @@ def check_campaign(path: Path | str) -> Plan:
     """
     plan = Plan(CheckedCampaign(load_campaign(path)))
     problems = plan.forecaster.refusals()
-    free, needed = shutil.disk_usage(".").free, plan.bytes_of_bags()
-    if needed > free:
-        problems.append(f"bags of about {_size(needed)}, expected less than the {_size(free)} free in {Path.cwd()}")
+    free, bags, results = shutil.disk_usage(".").free, plan.bytes_of_bags(), plan.bytes_of_results()
+    if bags + results > free:
+        needed = f"bags of about {_size(bags)} and results of about {_size(results)}"
+        problems.append(f"{needed}, expected less than the {_size(free)} free in {Path.cwd()}")
     problems += unwritable()
     if problems:
         refuse([f"campaign file {path}: {problem}" for problem in problems])
@@ -98,6 +101,10 @@ class Plan:
             numbers = len(rig.channel_names) + rig.groups
             found += BYTES_OF_FACTS + BYTES_OF_A_NUMBER * numbers * test.duration * rig.sample_rate
         return round(found)
+
+    def bytes_of_results(self) -> int:
+        """Estimated size of report and figures [bytes]."""
+        return BYTES_OF_REPORT + BYTES_OF_FIGURES * len(self.checked.campaign.tests)
 
     def text(self) -> str:
         """The plan as text: steps, predicted peaks, predicted problems, duration and files."""

@@ -107,7 +107,9 @@ def of_rig(model: LinearModel, rig: AnyRig | None, period: float | None, force: 
         known = rig_of(rig)
         period = period or 1 / known.sample_rate
         force = known.capacity.tolist() if force is None else force
-    limits = [force] * groups if isinstance(force, Real) else list(several(force)) if force is not None else []
+    limits: list[Any] = (
+        [force] * groups if isinstance(force, Real) else list(several(force)) if force is not None else []
+    )
     for name, value in [("sample_period", period), *(("force_limit", each) for each in limits)]:
         if value is not None and not isinstance(value, Real):
             raise AbraceError(f"design: {name} {value!r}, expected a number")

@@ -7,6 +7,7 @@ The paper plays El Centro for 100 s and Kobe for 60 s, both at 0.1 g. White nois
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from numbers import Real
@@ -91,7 +92,7 @@ class Treatment:
             if field.name == "baseline":
                 continue
             expected = "more than 0" if field.name == "time_scale" else "0 or more"
-            is_number = isinstance(value, Real) and np.isfinite(value)
+            is_number = isinstance(value, Real) and math.isfinite(value)
             if not is_number or value < 0 or (value == 0 and field.name == "time_scale"):
                 raise AbraceError(f"ground motion {field.name} {value!r}: expected {expected}")
         if 0 < self.band_limit < LOWEST_BAND_LIMIT:
