@@ -194,7 +194,7 @@ def test_a_campaign_that_is_stopped_in_its_report_says_how_it_goes_on(
 
     monkeypatch.setattr("abrace.campaign.course.make_report", stopped)
     assert main(["campaign", str(path)]) == 130
-    said = "1 of 1 steps are whole, in results/_unfinished/day; the same command goes on with the report\n"
+    said = "1 of 1 steps are complete, in results/_unfinished/day; the same command continues with the report\n"
     assert said in capsys.readouterr().err
 
 

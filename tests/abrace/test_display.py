@@ -10,6 +10,7 @@ from abrace.campaign.display import Display, Graph, peaks_of
 from abrace.report.node_table import NodeReport
 
 VALUES = {"state": "running", "peak displacement": "0.0123", "peak force": "12000", "peak drift": "0.004"}
+VALUES |= {"peak acceleration": "12.34", "peak table_displacement": "0.1234"}
 
 
 def report(message: str, heard: float, *, failed: bool = False, lost: int | None = None) -> NodeReport:
@@ -19,7 +20,7 @@ def report(message: str, heard: float, *, failed: bool = False, lost: int | None
 @pytest.fixture
 def terminal():
     now = [100.0]
-    console = Console(file=io.StringIO(), force_terminal=True, width=100, color_system=None)
+    console = Console(file=io.StringIO(), force_terminal=True, width=80, color_system=None)
     display = Display("day", 3, console, clock=lambda: now[0])
 
     def drawn() -> str:
@@ -49,10 +50,11 @@ def test_the_display_has_the_step_time_left_peaks_force_and_every_node(terminal)
         "[2/3] shaken",
         "30%",
         "0:20, 1:10 left, 1.0 x real time",
-        "drift 0.4 cm, displacement 1.23 cm",
+        "peaks: drift 0.4, displacement 1.23, table 12.3 cm, acceleration 12.3 m/s²\n",
         "force: 12 of 24.5 kN, 49% of capacity",
     ):
         assert expected in text, text
+    assert len(text.splitlines()) == 7, "each line fits into 80 columns"
     lines = {line.split()[0]: line for line in text.splitlines()}
     assert lines["plant"].split() == ["plant", "500", "-", "running"]
     assert "fault: no response" in lines["controller"]

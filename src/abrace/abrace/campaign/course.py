@@ -103,7 +103,7 @@ class _Course:
             doubtful = doubts(read_results(self._folders.unfinished).timing)
             self._folders.swap_in()
         except BaseException:
-            self._say_how_to_go_on("the report")
+            self._print_how_to_continue("the report")
             raise
         return Outcome(self._folders.results, tables, doubtful)
 
@@ -168,9 +168,9 @@ class _Course:
             with contextlib.suppress(AbraceError):  # the first error is the one that is reported
                 self._write_timing({"step": step, "cause": str(error)})
                 make_report(self._folders.unfinished)
-        self._say_how_to_go_on(step)
+        self._print_how_to_continue(step)
 
-    def _say_how_to_go_on(self, what: str) -> None:
+    def _print_how_to_continue(self, what: str) -> None:
         """Print where the results of an interrupted campaign are, and what it continues with."""
         count = f"{len(self._done.steps)} of {len(self._names)} steps are complete"
         again = "the same command" if self._start is None else f"abrace campaign {self._campaign.path}, without --from,"

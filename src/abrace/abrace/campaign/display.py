@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
 
 from rich.console import Console, Group
@@ -29,10 +30,12 @@ REFRESH = 4.0
 PEAKS = {
     "drift": ("drift", 100.0, "cm"),
     "displacement": ("displacement", 100.0, "cm"),
-    "acceleration": ("acceleration", 1.0, "m/s^2"),
     "table_displacement": ("table", 100.0, "cm"),
+    "acceleration": ("acceleration", 1.0, "m/s²"),
 }
-"""By entry of the rig's diagnostics: label, factor from SI units, unit."""
+"""By entry of the rig's diagnostics: label, factor from SI units, unit; those of one unit follow each other."""
+BAR = 10
+"""Characters of the bar: with it the first line fits into 80 columns."""
 
 
 class Graph(NamedTuple):
@@ -163,7 +166,7 @@ class DisplayedStep:
         fraction = self._last[1]
         cells: list[RenderableType] = [Text(name, style="bold"), Text(self.title)]
         if self._first is not None:
-            cells += [ProgressBar(total=1.0, completed=fraction, width=24), Text(f"{fraction:.0%}")]
+            cells += [ProgressBar(total=1.0, completed=fraction, width=BAR), Text(f"{fraction:.0%}")]
         cells.append(Text(f"{clock_time(self.elapsed)}{self._left()}{self.rate and f', {self.rate}'}"))
         head.add_row(*cells)
         drawn: list[RenderableType] = [head]
@@ -189,10 +192,10 @@ def clock_time(seconds: float) -> str:
 
 
 def _peak_lines(graph: Graph) -> list[RenderableType]:
+    shown = [(key, *label) for key, label in PEAKS.items() if key in graph.peaks]
     found = [
-        f"{called} {graph.peaks[key] * factor:.3g} {unit}"
-        for key, (called, factor, unit) in PEAKS.items()
-        if key in graph.peaks
+        ", ".join(f"{called} {graph.peaks[key] * factor:.3g}" for key, called, factor, _ in alike) + f" {unit}"
+        for unit, alike in groupby(shown, key=lambda each: each[-1])
     ]
     lines: list[RenderableType] = [Text(f"peaks: {', '.join(found)}")] if found else []
     if "force" in graph.peaks:

@@ -83,7 +83,7 @@ class Characteristics:
 
 
 def bench_response(actuator: Actuator, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """f/U of an `actuator` with its rod blocked (Fig. 2) at `omega` (lines,) [rad/s], command delay included."""
+    """f/U of an `actuator` with its rod blocked (Fig. 2) at `omega` (lines,) [rad/s], its command delay included."""
     response = actuator.bench_model().frequency_response(omega)[:, 0, 0]
     return np.asarray(response * np.exp(-1j * omega * actuator.command_delay))
 

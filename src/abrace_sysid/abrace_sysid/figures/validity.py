@@ -119,7 +119,7 @@ def _spectra(axis: Axes, residual: Residual) -> None:
 
     axis.semilogy(frequency, level(np.abs(residual.measured[:, worst]) ** 2), color=MEASURED, lw=1.0, label="measured")
     axis.semilogy(frequency, level(np.abs(residual.left[:, worst]) ** 2), color=SIMULATED, lw=1.0, label="residual")
-    axis.semilogy(frequency, level(residual.noise[:, worst]), color=REFERENCE, lw=1.4, label="noise of the sensors")
+    axis.semilogy(frequency, level(residual.noise[:, worst]), color=REFERENCE, lw=1.4, label="sensor noise")
     axis.set_title(f"{symbol(residual.outputs[worst])}, {residual.source}", fontsize="medium", loc="left")
     axis.set_xlabel("frequency [Hz]")
     name, unit = residual.outputs[worst], ""
@@ -128,6 +128,8 @@ def _spectra(axis: Axes, residual: Residual) -> None:
     axis.set_ylabel(f"amplitude at a line{unit}")
     axis.set_xlim(frequency[0], frequency[-1])
     axis.grid(alpha=0.3)
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high * (high / low) ** 0.2)  # room for the legend above the curves
     axis.legend(fontsize="small", ncols=3, loc="upper right")
 
 
