@@ -91,7 +91,7 @@ def outer_messages(draw: st.DrawFn) -> tuple[str, list[dict[str, Any]]]:
     return "\n".join(lines), messages
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 @given(outer_messages())
 def test_values_are_those_that_rosbags_serialised(case: tuple[str, list[dict[str, Any]]]) -> None:
     text, messages = case

@@ -149,7 +149,7 @@ def test_least_rate_limit_that_the_refusal_names_is_accepted_and_not_much_less(c
     assert guarded.at_rest, "the rate limit does not make the ramp longer"
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     commands=st.lists(st.one_of(st.none(), st.lists(st.floats(-2e5, 2e5), min_size=2, max_size=2)), max_size=120),
     share=st.floats(0.0, 1.0),

@@ -237,7 +237,7 @@ def test_missed_samples_do_not_lengthen_the_ramp():
     assert count == STEPS // 5 + 1, "the first step is one sample: it begins now"
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.one_of(st.sampled_from(list(ASKED)), st.lists(st.floats(), max_size=2)), max_size=80))
 def test_nothing_acts_but_while_acting_whatever_happens(events):
     safety = RigSafety()

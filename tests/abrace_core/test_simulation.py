@@ -61,7 +61,7 @@ def test_first_order_hold_agrees_with_scipy_and_passes_direct_terms():
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(samples=st.floats(0.0, 4.5))
 def test_delayed_step_is_the_step_shifted_by_any_delay(samples):
     delay = samples * PERIOD
@@ -237,7 +237,7 @@ def assert_equal_to_rounding(found: np.ndarray, expected: np.ndarray) -> None:
     assert (worst <= 1e-12 * peaks).all(), worst / peaks
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     states=st.integers(0, 9),
     inputs=st.integers(0, 3),
@@ -288,7 +288,7 @@ def test_growth_reaches_as_far_as_numbers_do():
     np.testing.assert_allclose(simulate(steep, late)[-3:, 0], [0.0, 1.0, 1e120], rtol=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     states=st.integers(0, 6),
     commands=st.integers(0, 2),

@@ -24,7 +24,7 @@ def path(acceleration: np.ndarray, rate: float = 500.0) -> tuple[np.ndarray, np.
     return velocity, displacement
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     seconds=st.floats(2.0, 60.0),
     rate=st.sampled_from([100.0, 500.0]),

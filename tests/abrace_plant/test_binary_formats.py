@@ -115,7 +115,7 @@ def test_truncated_matlab_file_is_told(tmp_path):
             read_record(path, "g", 0.01)
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 @given(st.lists(st.floats(-100.0, 100.0), min_size=2, max_size=30))
 def test_matlab_values_are_read_as_written(tmp_path_factory, values):
     record = read_record(saved(tmp_path_factory.mktemp("m"), a=values), "m/s^2", 0.01)

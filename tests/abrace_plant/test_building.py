@@ -69,7 +69,7 @@ def test_stiffness_of_a_frames_own_modes_is_its_stiffness_whatever_the_shapes_ar
     np.testing.assert_allclose(found, PAPERS.stiffness, rtol=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), floors=st.integers(1, 6))
 def test_measured_shapes_keep_their_frequencies_and_move_no_more_than_they_must(seed, floors):
     random = np.random.default_rng(seed)
@@ -123,7 +123,7 @@ def test_damping_matrix_gives_each_mode_its_ratio_and_couples_none():
     np.testing.assert_allclose(Building(PAPERS.masses, PAPERS.stiffness, damping).damping_ratios, ratios, rtol=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(modes=st.permutations(range(1, 6)), ratio=st.floats(0.001, 0.1))
 def test_rayleigh_damping_gives_its_two_modes_their_ratio_and_couples_none(modes, ratio):
     one, other = modes[:2]

@@ -122,7 +122,7 @@ def test_kobe_is_played_for_60_s_at_its_pga():
     assert np.abs(motion).argmax() / 500.0 == pytest.approx(8.52, abs=0.02)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     rate=st.sampled_from([100.0, 256.0, 500.0, 1000.0]),
     period=st.sampled_from([0.02, 0.005, 1 / 200.3, 0.001]),
@@ -210,7 +210,7 @@ def test_every_sinusoid_of_the_pass_band_up_to_30_hz_is_resampled_within_1e_5(ra
         assert error < 1e-5, f"{frequency} Hz"
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     coefficients=st.lists(st.floats(-0.3, 0.3), min_size=1, max_size=3),
     period=st.sampled_from([0.01, 0.004]),

@@ -118,7 +118,7 @@ def similar(length: float, density: float, acceleration: float) -> dict[str, Any
 
 SCALES = {"length": st.floats(0.1, 3.0), "density": st.floats(0.15, 10.0), "acceleration": st.floats(0.15, 6.0)}
 """Storeys of 0.3 to 9 m, first frequencies of 0.24 to 8.2 Hz."""
-REPEATED = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+REPEATED = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 """For properties of files: every example overwrites the last one's."""
 
 

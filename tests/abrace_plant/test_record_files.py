@@ -260,7 +260,7 @@ def test_any_bytes_give_a_record_or_a_clear_error(tmp_path_factory, sound, endin
     """Any bytes alone, or in place of a part of a sound file of the format."""
     whole, arguments = sound.get(ending, (b"", {}))
 
-    @settings(max_examples=EXAMPLES.get(ending, 100), deadline=None)
+    @settings(max_examples=EXAMPLES.get(ending, 100))
     @given(
         content=BYTES,
         place=st.none() | st.tuples(st.floats(0, 1), st.floats(0, 1)),

@@ -39,7 +39,7 @@ def test_spectra_of_short_periods_are_no_lower_than_eqsigs_and_higher_by_what_li
         assert 1e-3 < excess.max() < BETWEEN
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(period=st.floats(0.41, 20.0), ratio=st.floats(0.0, 0.9), seed=st.integers(0, 1000), step=st.floats(0.001, 0.01))
 def test_response_is_the_exact_one_to_a_motion_straight_between_samples(period, ratio, seed, step):
     acceleration = np.random.default_rng(seed).standard_normal(800)

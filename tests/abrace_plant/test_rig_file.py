@@ -22,7 +22,7 @@ from abrace_plant.rig.model import Rig
 CONFIGURATIONS = Path(__file__).parents[2] / "src/abrace_plant/config"
 CONFIGURATION = CONFIGURATIONS / "ncree_three_storey.yaml"
 G = 9.80665
-REPEATED = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+REPEATED = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 """For properties of files: every example overwrites the last one's."""
 
 

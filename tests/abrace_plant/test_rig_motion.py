@@ -80,7 +80,7 @@ def test_static_motion_settles_where_the_model_says():
     assert found[7] == pytest.approx(5000.0, rel=1e-6)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     scale=st.floats(0.01, 0.5),
     frequency=st.floats(0.3, 20.0),
@@ -125,7 +125,7 @@ def stored_energy(rig: Rig, state: np.ndarray) -> float:
     return energy + 0.5 * x @ stiffness @ x + 0.5 * rig.building.masses @ v**2
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     start=st.lists(st.floats(-0.3, 0.3), min_size=4, max_size=4).filter(lambda v: max(map(abs, v)) > 0.01),
     capacity=st.sampled_from([2e3, 2e4, 1e12]),
@@ -146,7 +146,7 @@ def test_energy_decays_without_input(start, capacity, rig):
 # --- limits ----------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(amplitude=st.floats(1e3, 1e6), frequency=st.floats(0.3, 30.0), ground=st.floats(0.0, 20.0))
 def test_force_never_exceeds_capacity_and_the_motion_stays_finite(amplitude, frequency, ground):
     rig = with_actuators(RIG, stroke_limit=np.inf)

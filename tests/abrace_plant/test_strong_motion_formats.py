@@ -87,7 +87,7 @@ def test_damaged_knet_file_is_told_by_line(tmp_path, text, message):
         read_record(path)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.integers(-(2**23), 2**23 - 1), min_size=2, max_size=30))
 def test_knet_counts_are_read_as_written(tmp_path_factory, counts):
     text = knet(counts, duration=len(counts) / 100)
@@ -230,7 +230,7 @@ def test_damaged_csmip_file_is_told_by_line(tmp_path, text, message):
         read_record(path)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.floats(-999.9, 9999.9), min_size=2, max_size=40))
 def test_csmip_values_are_read_within_the_printed_resolution(tmp_path_factory, values):
     record = read_record(written(tmp_path_factory.mktemp("c"), "a.v2", csmip(values)))
@@ -371,7 +371,7 @@ def test_damaged_cosmos_file_is_told_by_line(tmp_path, text, message):
         read_record(path)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.floats(-999.0, 9999.0), min_size=2, max_size=40))
 def test_cosmos_values_are_read_within_the_printed_resolution(tmp_path_factory, values):
     record = read_record(written(tmp_path_factory.mktemp("c"), "a.v2", cosmos(values)))

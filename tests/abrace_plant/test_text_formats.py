@@ -172,7 +172,7 @@ def test_csv_with_several_accelerations_wants_the_name_of_one(tmp_path, channel,
         read_record(written(tmp_path, "two.csv", NORTH_AND_EAST), channel=channel)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     st.lists(st.floats(-20.0, 20.0).map(lambda value: round(value, 9)), min_size=2, max_size=40),
     st.sampled_from(["at2", "csv", "txt"]),

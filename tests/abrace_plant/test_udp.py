@@ -249,7 +249,7 @@ PACKETS = st.lists(
 )
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(PACKETS, st.data())
 def test_between_thousands_of_malformed_packets_every_sample_is_used_and_no_other(target, packets, data):
     good = data.draw(st.integers(0, len(packets) - 1))
