@@ -24,7 +24,7 @@ TYPED = {
     "run abrace_pl": {"abrace_plant"},
     "run abrace_plant gro": {"ground_motion"},
     "campaign five_": {"five_controllers", "five_storeys"},
-    "benchmark sac_": {"sac_la_3", "sac_la_20"},
+    "benchmark sac_": {"sac_la_3", "sac_la_9", "sac_la_20"},
     "bag csv B --out": {"--output"},
 }
 
