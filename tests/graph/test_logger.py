@@ -146,6 +146,7 @@ def test_pause_split_stop_and_start_are_services(graph):
     ask(graph, "start")
     assert "already" in ask(graph, "start", success=False)
     matched(graph, "value")
+    graph.until(value.get_subscription_count, "the publisher's match")
     for first, service in ((0, "split"), (5, "pause")):
         publish_numbers(value, range(first, first + 5))
         until_counted(graph, "value", first + 5)
@@ -157,8 +158,10 @@ def test_pause_split_stop_and_start_are_services(graph):
     publish_numbers(value, range(15, 20))
     until_counted(graph, "value", 15)
     assert "15 of value" in ask(graph, "stop")
+    graph.until(lambda: not value.get_subscription_count(), "the end of the subscription")
     assert ask(graph, "start").endswith("bag_2")
     matched(graph, "value")
+    graph.until(value.get_subscription_count, "the publisher's match")
     publish_numbers(value, [99])
     until_counted(graph, "value", 1)
     assert graph.stop("logger") == 0
