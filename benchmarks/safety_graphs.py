@@ -20,6 +20,7 @@ from safety_cases import RATE, worst_step
 from std_msgs.msg import Bool
 
 from abrace_core.controller_file import save_controller
+from abrace_core.node.conventions import LOCKSTEP_STREAM_QOS
 from abrace_core.noise import banded_noise
 from abrace_interfaces.action import PlayGroundMotion
 from abrace_interfaces.msg import BraceCommand, Response
@@ -73,7 +74,11 @@ class StrongMotion:
                 assert graph.change_state(name, "deactivate")
             graph.until(lambda: graph.clear_fault("plant").success, "the rig to be cleared")
             self.responses.clear()
+            # where the stop left the table there may be no room for the record: a person moves it to the middle
+            for change in ("cleanup", "configure"):
+                assert graph.change_state("ground_motion", change)
             for name in ("ground_motion", "plant"):
+                graph.until_matched(name, ground_motion=1)
                 assert graph.change_state(name, "activate")
             graph.until(lambda: self.responses and self.responses[-1].run != run, "a new run")
             self.responses[:] = [one for one in self.responses if one.run != run]
@@ -103,7 +108,7 @@ class WrongSign:
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
-        self.responses: list[Response] = graph.listen(Response, "response")
+        self.responses: list[Response] = graph.listen(Response, "response", LOCKSTEP_STREAM_QOS)
         right = lqg3()
         law = replace(right.law, c=-right.law.c, d=-right.law.d)
         save_controller(replace(right, law=law, correction=0 * right.correction), graph.folder / "wrong.yaml")
