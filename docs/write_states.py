@@ -58,9 +58,9 @@ are not finite, of wrong length or of two senders; old and repeated samples; a l
 Centro; motions beyond the table's limits; a sensor at the end of its range; services of a controller in use. A
 controller is killed, stopped (SIGSTOP) and made to flood the rig, 100 times each: the force has to be zero within
 `command_timeout`, ramp and 5 samples, with no step beyond the rate limit. In one run on two virtual processors, shared
-with other machines: 98 of 98 pairs, each case 20 of 20, killed, stopped and flooding 100 of 100 each, no step beyond the
-rate limit. Where other programs keep all processors busy, cases by the clock fail now and then: samples or answers are
-late.
+with other machines: 98 of 98 pairs, each case 20 of 20, killed, stopped and flooding 100 of 100 each, no step beyond
+the rate limit. Where other programs keep all processors busy, cases by the clock fail now and then: samples or answers
+are late.
 
 `make soak` sends 10 000 messages of correct type and wrong content to every topic and service of every streaming
 node (`python benchmarks/wrong_endurance.py`), and runs 20 minutes of lockstep (`python
