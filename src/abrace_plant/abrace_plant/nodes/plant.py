@@ -116,7 +116,9 @@ class Plant(RigNode):
     def answered(self) -> None:
         """In lockstep, take the next sample once every input of `wait_for` has answered."""
         super().answered()
-        if self.lockstep and self.loop is not None and self.due is not None and self.exit_code is None:
+        if not self.lockstep or self.loop is None or self.loop.ended:
+            return
+        if self.due is not None and self.exit_code is None:
             for name in self.parameters.wait_for:
                 if not self.loop.answered(name):
                     return
