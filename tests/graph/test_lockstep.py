@@ -201,3 +201,18 @@ def test_a_run_that_ends_with_a_fault_is_not_done(graph):
     assert not any("done" in line for line in output)
     assert "ended with a fault: a1: stuck at" in output[-1]
     assert "500 samples in " in output[-1]
+
+
+def test_a_run_that_is_deactivated_has_one_last_sample(graph):
+    graph.start("plant", lockstep=True, autostart=False)
+    graph.start("excitation", duration=600.0)
+    assert graph.change_state("plant", "configure")
+    responses = graph.listen(Response, "response")
+    graph.until_matched("plant", response=2, brace_command=1)
+    for run in range(1, 6):
+        count = len(responses) + 100
+        assert graph.change_state("plant", "activate")
+        graph.until(lambda count=count: len(responses) > count, "samples")
+        assert graph.change_state("plant", "deactivate")
+        graph.until(lambda: responses[-1].flags & Response.LAST, "the last sample")
+        assert sum(bool(one.flags & Response.LAST) for one in responses) == run
