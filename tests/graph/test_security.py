@@ -107,7 +107,7 @@ def test_the_policy_allows_what_a_viewer_does_that_may_operate_and_no_other_view
         client.send({"op": "setParameters", "parameters": [name], "id": "set"})
         calls = client.call(clear, request), client.call("/view/stop", request)
         graph.until(lambda: set(calls) <= set(client.answers), "the answers")
-        assert stop in used(graph, "viewer")
+        graph.until(lambda: stop in used(graph, "viewer"), "the viewer's stop to be known")
         expect_allowed(graph, "viewer", "request", "plant/set_parameters", enclave="operating_viewer")
         expect_allowed(graph, "_viewer_input", "subscribe", "response", enclave="operating_viewer")
         looking = read_policy(POLICY, graph.namespace)["/abrace/viewer"]
