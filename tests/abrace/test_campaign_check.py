@@ -158,6 +158,20 @@ def test_limits_that_will_be_exceeded_are_told_and_not_refused(tmp_path: Path) -
     assert plan.forecaster.of("own").note == "with zero command: a node of your own is not simulated"
 
 
+def test_the_predicted_force_is_that_of_the_actuator_that_is_nearest_to_its_own_limit(tmp_path: Path) -> None:
+    """50 kN on floor 1, 100 kN on floor 3: the rig file's limit of 108 kN is that of the stronger one."""
+    steps = [
+        f"{{name: of_{group}, test: {{duration: 20.0, excitation: {{rms: {rms}, band: [0.3, 20.0], seed: 1}}}}}}"
+        for group, rms in (("1", "[9000.0, 9000.0]"), ("2", "[1000.0, 9000.0]"))
+    ]
+    plan = checked(tmp_path, *steps, top=TOP.replace("ncree_three_storey", "five_storey"))
+    found = {test: plan.forecaster.of(test).peaks["force"] for test in ("of_1", "of_2")}
+    assert {test: (peak.name, peak.limit) for test, peak in found.items()} == {
+        "of_1": ("f1", 54e3),
+        "of_2": ("f2", 108e3),
+    }
+
+
 def test_a_design_that_its_model_refuses_is_refused_or_foretold_where_that_comes_later(tmp_path: Path) -> None:
     rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
     save_model(rig.model, tmp_path / "rig.json")

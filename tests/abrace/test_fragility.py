@@ -14,7 +14,7 @@ from rehearsal import Cause, controller, rehearse
 import abrace
 from abrace.cli import main
 from abrace.interactive.exploration import Explored
-from abrace.interactive.fragility import ground_motions
+from abrace.interactive.fragility import ground_motions, interlocks_of
 from abrace_core.controller_file import Controller, save_controller
 from abrace_core.installed import find_file
 from abrace_core.linear_model import LinearModel, save_model
@@ -160,6 +160,13 @@ def test_interlocks_of_quantities_that_the_model_lacks_are_left_out_with_a_warni
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         abrace.fragility(whole, [damper], folder=tmp_path / "whole", **given)
+
+
+def test_the_interlock_of_a_weaker_actuator_s_force_is_smaller_by_its_capacity():
+    """50 and 100 kN; the rig file's 108 kN are those of the stronger one."""
+    rig = abrace.load_rig("five_storey")
+    acting = interlocks_of(rig.model, rig, PERIOD).interlocks
+    assert {each.quantity: each.value for each in acting if each.quantity[0] == "f"} == {"f1": 54e3, "f2": 108e3}
 
 
 @pytest.mark.parametrize(("factor", "fault"), [(-1.0, None), (0.0, "a1=zero")])

@@ -116,7 +116,17 @@ def test_after_zeroing_the_mean_is_zero_and_the_file_keeps_it(tmp_path):
     write_calibration(tmp_path / "new.yaml", file)
     assert read_calibration(tmp_path / "new.yaml") == file
     assert np.abs(readings(file, raw).mean(axis=0)).max() < 1e-12
-    assert file.channels["x1"].offset == pytest.approx(0.75, abs=0.001)
+    assert file.channels["x1"].offset == 0.25, "as calibrated"
+    assert file.channels["x1"].zero == pytest.approx(0.5, abs=0.001)
+    with pytest.raises(AbraceError, match=r"channels.x1.range: \[-10.0, 10.0\], expected its ends around 20.25"):
+        Calibration(
+            FILE.model_copy(
+                update={"channels": {**file.channels, "x1": file.channels["x1"].model_copy(update={"zero": 20.0})}}
+            ),
+            ("x1", "a1"),
+            (),
+            RATE,
+        )
     assert [path.name for path in tmp_path.iterdir()] == ["new.yaml"]
 
 
@@ -129,7 +139,7 @@ def test_only_the_named_channels_are_zeroed():
 @pytest.mark.parametrize(
     ("raw", "message"),
     [
-        (np.full((500, 2), [3.0, 0.0]), "zeroing: x1 reads 0.0275 m, expected at most 0.01"),
+        (np.full((500, 2), [3.0, 0.0]), "zeroing: x1 is 0.0275 m from its calibrated offset, expected at most 0.01"),
         (
             np.outer(np.sin(np.arange(500)), [1.0, 0.0]),
             "zeroing: x1 is not at rest (0.00707 m, expected at most 0.001)",

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from abrace_core.signals import channel_names
+from abrace_plant.live.loop import rig_outputs
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.interlocks import Interlocks
 from abrace_plant.rig.model import Interlock
@@ -191,6 +193,33 @@ def test_the_limits_of_forces_are_in_proportion_to_the_capacity_of_each_actuator
         {(interlock, channel)} if interlock else set()
     )
     assert interlocks.greatest()["force"] == pytest.approx(force, rel=0.05)
+
+
+def test_the_limits_of_the_check_list_s_first_force_go_together(tmp_path):
+    """Those of docs/first_force.md; commands are cut at the rig file's own limit."""
+    text = (SOURCE / "abrace_plant/config/ncree_three_storey.yaml").read_text()
+    content = yaml.safe_load(text)
+    content["braces"][0]["actuator"]["command_limit"] = 250.0
+    first = {
+        "force": 1000.0,
+        "force_error": 500.0,
+        "oscillation": 500.0,
+        "drift": 5e-3,
+        "stroke": 5e-3,
+        "acceleration": 0.5,
+    }
+    for name, value in first.items():
+        content["interlocks"][name]["value"] = value
+    (tmp_path / "first_rig.yaml").write_text(yaml.safe_dump(content))
+    rig = load_rig(tmp_path / "first_rig.yaml")
+    (braces, _), found = rig_outputs(rig), Interlocks(rig)
+    for _ in range(200):
+        braces.follow([20e3])
+    assert braces.value == [250.0]
+    assert braces.saturated
+    quiet = noise(rig, 200)
+    assert tripped(found, quiet)[0] is None
+    assert {name: found.table[name].value for name in first} == first
 
 
 def test_the_ends_of_the_range_are_those_where_a_measurement_clips():

@@ -149,6 +149,12 @@ def edited(path: tuple[str | int, ...], value: object, name: str = "ncree_three_
         (("building", "p_delta"), "yes please", "building.p_delta", "true or false"),
         (("braces", 0, "backlash"), -1e-4, "braces.0.backlash", "greater than or equal to 0"),
         (("braces", 0, "actuator", "stall_force"), 0.0, "braces.0.actuator.stall_force", "greater than 0"),
+        (
+            ("braces", 0, "actuator", "command_limit"),
+            25e3,
+            "braces.0.actuator.command_limit",
+            "at most the capacity, 24516.6 N",
+        ),
         (("braces", 0, "actuator", "stall_force"), 2450.0, "braces.0.actuator.stall_force", "times the capacity"),
         (("local_modes", 0, "transverse_share"), [0.5], "local_modes.0.transverse_share", "one for each of 3 floors"),
         (("sensors", "anti_alias"), {"cutoff": 150.0, "order": 11}, "sensors.anti_alias.order", "equal to 10"),

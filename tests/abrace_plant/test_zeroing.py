@@ -30,7 +30,7 @@ def test_all_channels_or_those_named_have_zero_mean_by_the_new_file():
             found.take(reading, [0.0, 0.0])
         assert found.over.is_set()
         file, changes = found.result()
-        assert [file.channels[name].offset for name in ("x1", "a1")] == pytest.approx(expected, abs=0.001)
+        assert [file.channels[name].zero for name in ("x1", "a1")] == pytest.approx(expected, abs=0.001)
         assert changes.count("a1 0 to 0.0999") == 1
         assert ("x1" in changes) == (not which)
 
@@ -55,7 +55,11 @@ def test_it_is_refused_without_all_of_the_samples():
 
 @pytest.mark.parametrize(
     ("factor", "message"),
-    [(3.0, "x1 reads 0.006 m, expected at most 0.005"), (0.0, ""), (-3.0, "x1 reads -0.006 m, expected at most 0.005")],
+    [
+        (3.0, "x1 is 0.006 m from its calibrated offset, expected at most 0.005"),
+        (0.0, ""),
+        (-3.0, "x1 is -0.006 m from its calibrated offset, expected at most 0.005"),
+    ],
 )
 def test_a_sensor_further_off_than_a_twentieth_of_half_its_range_is_looked_at_and_not_zeroed(factor, message):
     found = zeroing("x1")
@@ -65,7 +69,20 @@ def test_a_sensor_further_off_than_a_twentieth_of_half_its_range_is_looked_at_an
         with pytest.raises(AbraceError, match=message):
             found.result()
     else:
-        assert found.result()[0].channels["x1"].offset == 0.0
+        assert found.result()[0].channels["x1"].zero == 0.0
+
+
+def test_zeroings_one_after_the_other_do_not_add_up_to_more_than_the_limit():
+    calibration = CALIBRATION
+    for mean, allowed in ((0.004, True), (0.0008, True), (0.0008, False), (-0.009, True)):
+        found = Zeroing(calibration, ("x1",), SAMPLES)
+        for reading in READINGS - READINGS.mean(axis=0) + [mean, 0.0]:
+            found.take(reading, [0.0])
+        if allowed:
+            calibration = Calibration(found.result()[0], ("x1", "a1"), (), 500.0)
+        else:
+            with pytest.raises(AbraceError, match=r"x1 is 0\.0056 m from its calibrated offset, expected"):
+                found.result()
 
 
 def test_a_channel_that_there_is_not_and_a_device_without_a_file_are_named():

@@ -116,7 +116,7 @@ def test_hardware_that_is_not_there_refuses_the_activation_and_is_taken_at_1_khz
     device, fast = device_file(tmp_path, timeout=1.0), tmp_path / "fast.yaml"
     rig_file = (CONFIG / "ncree_three_storey.yaml").read_text()
     fast.write_text(rig_file.replace("sample_rate: 500.0", "sample_rate: 1000.0"))
-    parameters = {"rig": str(fast), "late_limit": 1000, "autostart": False}
+    parameters = {"rig": str(fast), "late_limit": 100, "autostart": False}
     parameters |= {"cpu_affinity": [min(os.sched_getaffinity(0))]}
     bridge = rig.start("sensor_bridge", device=str(device), **parameters)
     assert rig.change_state("sensor_bridge", "configure")
@@ -162,16 +162,17 @@ def test_hardware_is_zeroed_at_rest_alone_and_a_target_that_freezes_is_a_latched
             stranger.sendto(os.urandom(length), to)
     done = zero(rig)
     assert done.success, done.message
-    assert "own.yaml: offsets: a1 0.05 to" in done.message
+    assert "own.yaml: zero of each channel: a1 0 to -0.0" in done.message
     found = yaml.safe_load(calibration.read_text())["channels"]
-    assert found["a1"].get("offset", 0.0) == pytest.approx(0.0, abs=0.001)
+    assert found["a1"]["offset"] == 0.05, "as calibrated"
+    assert found["a1"]["zero"] == pytest.approx(-0.05, abs=0.001)
     assert found["x2"]["offset"] == 0.6
     names = SetParameters.Request(parameters=[Parameter("zero_channels", value=["a1", "x2"]).to_parameter_msg()])
     assert rig.call(SetParameters, "sensor_bridge/set_parameters", names).results[0].successful
     before = calibration.read_bytes()
     refused = zero(rig)
     assert not refused.success
-    assert refused.message.startswith("zeroing: x2 reads -0.00")
+    assert refused.message.startswith("zeroing: x2 is -0.00")
     calibration.write_text(calibration.read_text().replace("gain: 0.6", "gain: 0.5"))
     names = SetParameters.Request(parameters=[Parameter("zero_channels", value=["a1"]).to_parameter_msg()])
     assert rig.call(SetParameters, "sensor_bridge/set_parameters", names).results[0].successful

@@ -8,8 +8,8 @@ zero command.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import cycle, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +28,7 @@ from abrace_lqg.scaling import scaled_weights
 from abrace_lqg.weights import load_weights
 from abrace_plant.records.table_motion import table_motion
 from abrace_plant.rig.detectors import detectors, sensor_noise
-from abrace_plant.rig.limits import limit_table
+from abrace_plant.rig.limits import group_limits, limit_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -120,8 +120,12 @@ class _Prepared:
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.model = rig.discrete_model()
-        interlocks = limit_table(rig, detectors(rig).noise(sensor_noise(rig)))
-        self.limits = {kind: _limit(kind, rig, interlocks[kind]) for kind in UNITS if kind != "table"}
+        noise = detectors(rig).noise(sensor_noise(rig))
+        interlocks = limit_table(rig, noise)
+        self.limits = {kind: [_limit(kind, rig, interlocks[kind])] for kind in UNITS if kind != "table"}
+        forces = group_limits(rig, interlocks["force"], noise.get("force", 0.0)).tolist()
+        self.limits["force"] = [_limit("force", rig, replace(interlocks["force"], value=value)) for value in forces]
+        """By kind: the limit of each of its signals, or one that holds for all."""
 
 
 class Forecaster:
@@ -235,9 +239,9 @@ def _table_peak(ground: NDArray[np.float64], rig: Rig) -> dict[str, Peak]:
 
 
 def _response_peaks(
-    outputs: dict[str, NDArray[np.float64]], count: int, limits: dict[str, tuple[float, str]]
+    outputs: dict[str, NDArray[np.float64]], count: int, limits: dict[str, list[tuple[float, str]]]
 ) -> dict[str, Peak]:
-    """The greatest value of each kind of response, with its limit; `count`: the number of floors."""
+    """The peak of each kind of response that is nearest to its limit; `count`: the number of floors."""
     greatest = {name: float(np.abs(values).max()) for name, values in outputs.items()}
     floors = [np.zeros(1), *(outputs[f"x{i + 1}"] for i in range(count))]
     drifts = {f"of storey {i}": float(np.abs(b - a).max()) for i, (a, b) in enumerate(pairwise(floors), 1)}
@@ -251,9 +255,11 @@ def _response_peaks(
     found = {}
     for kind, values in of_kind.items():
         if values:
-            name = max(values, key=lambda one: values[one])
-            limit, of = limits[kind]
-            found[kind] = Peak(name, values[name], limit, UNITS[kind], of)
+            peaks = [
+                Peak(name, value, limit, UNITS[kind], of)
+                for (name, value), (limit, of) in zip(values.items(), cycle(limits[kind]), strict=False)
+            ]
+            found[kind] = max(peaks, key=lambda peak: peak.share)
     return found
 
 

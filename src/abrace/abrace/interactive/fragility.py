@@ -23,7 +23,7 @@ from abrace_plant.records.files import read_record
 from abrace_plant.records.record import Record
 from abrace_plant.records.treatment import BAND_LIMIT, Treatment, prepare
 from abrace_plant.rig.detectors import Detectors, detectors, sensor_noise
-from abrace_plant.rig.limits import limit_table
+from abrace_plant.rig.limits import group_limits, limit_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -191,9 +191,12 @@ def interlocks_of(model: LinearModel, given: AnyRig | None, period: float) -> Ac
         return Acting((), None, ())
     rig = replace(rig_of(given), sample_rate=1 / period)
     found = detectors(rig)
-    table = {
-        kind: each for kind, each in limit_table(rig, found.noise(sensor_noise(rig))).items() if each.action == "stop"
-    }
+    noise = found.noise(sensor_noise(rig))
+    table = {kind: each for kind, each in limit_table(rig, noise).items() if each.action == "stop"}
+    of_forces = {}
+    if "force" in table and rig.groups:
+        of_groups = group_limits(rig, table["force"], noise["force"])
+        of_forces = {meaning(f"f{i}"): limit for i, limit in enumerate(of_groups.tolist(), 1)}
 
     def interlock(kind: str, quantity: str, value: float, settling: int = 0) -> Interlock:
         return Interlock(quantity, value, max(1, int(np.ceil(table[kind].time / period - 1e-9))), settling)
@@ -209,7 +212,7 @@ def interlocks_of(model: LinearModel, given: AnyRig | None, period: float) -> Ac
         if re.fullmatch(pattern, name) and meaning(name) not in known
     ]
     acting = [
-        interlock(kind, name, table[kind].value)
+        interlock(kind, name, of_forces.get(meaning(name), table[kind].value))
         for kind, pattern in watched.items()
         for name in names
         if re.fullmatch(pattern, name)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The calibration file: conversion of readings from volts or counts to SI units, and of commands to volts or counts.
 
-    value = sign gain (raw - offset)        of a measured channel, in `unit`
+    value = sign gain (raw - offset - zero) of a measured channel, in `unit`
     raw   = offset + sign value / gain      of a commanded one
 
 A filter delays its signal: at frequencies well below its own frequency f by 1 / (2 pi f) for the first order and by
@@ -71,8 +71,12 @@ class CommandChannel(Checked):
 
 
 class Channel(CommandChannel):
-    """A measured channel; `delay` is that of amplifier, converter and anti-aliasing filter [s]."""
+    """A measured channel; `delay` is that of amplifier, converter and anti-aliasing filter [s].
 
+    `zero`: reading at rest beyond `offset`, as zeroing found it last, in raw units.
+    """
+
+    zero: float = 0.0
     filter: Filter | None = None
     delay: Annotated[float, pydantic.Field(ge=0, lt=1)] = 0.0
 
@@ -199,7 +203,7 @@ class Calibration:
             return {}
         return {
             name: f"{self.file.channels[name].sign * self.file.channels[name].gain:g} {self.file.channels[name].unit}, "
-            f"offset {self.file.channels[name].offset:g}, lag {1e3 * lag:.2f} ms"
+            f"offset {self.file.channels[name].offset + self.file.channels[name].zero:g}, lag {1e3 * lag:.2f} ms"
             for name, lag in zip(self.channels, self.lag, strict=True)
         }
 
@@ -213,7 +217,7 @@ class Calibration:
 def zeroed(
     file: CalibrationFile, channels: Sequence[str], readings: ArrayLike, which: Sequence[str], limit: float, rest: float
 ) -> CalibrationFile:
-    """The calibration file with new offsets, at which the mean of the readings is zero.
+    """The calibration file with new values of `zero`, at which the mean of the readings is zero.
 
     Parameters
     ----------
@@ -226,7 +230,7 @@ def zeroed(
     which
         Names of the channels to zero.
     limit
-        Greatest mean that may be zeroed, as a share of half the channel's range.
+        Greatest `zero`, as a share of half the channel's range: several zeroings do not add up to more.
     rest
         Greatest standard deviation, and greatest difference between the means of the two halves of the readings, of a
         channel at rest, likewise.
@@ -255,10 +259,11 @@ def zeroed(
         if max(deviation, creep) > rest * half_range:
             found, most = max(deviation, creep), rest * half_range
             refused.append(f"{name} is not at rest ({found:.3g} {unit}, expected at most {most:.3g})")
-        elif abs(mean) > limit * half_range:
-            refused.append(f"{name} reads {mean:.3g} {unit}, expected at most {limit * half_range:.3g}")
+        elif abs(zero := mean + old.sign * size * old.zero) > limit * half_range:
+            most = limit * half_range
+            refused.append(f"{name} is {zero:.3g} {unit} from its calibrated offset, expected at most {most:.3g}")
         else:
-            new[name] = old.model_copy(update={"offset": old.offset + old.sign * mean / size})
+            new[name] = old.model_copy(update={"zero": old.sign * zero / size})
     if refused:
         raise AbraceError(f"zeroing: {'; '.join(refused)}")
     return file.model_copy(update={"channels": new})
@@ -275,9 +280,14 @@ def _entries(
         if entry.unit not in UNITS or UNITS[entry.unit][0] != signals.unit(name):
             fitting = ", ".join(unit for unit, (si, _) in UNITS.items() if si == signals.unit(name))
             raise AbraceError(f"{key}.{name}.unit: {entry.unit!r}, expected one of {fitting}")
-        if not entry.range[0] < entry.offset < entry.range[1]:
-            raise AbraceError(f"{key}.{name}.range: {list(entry.range)}, expected its ends around {entry.offset:g}")
+        if not entry.range[0] < (offset := _offset(entry)) < entry.range[1]:
+            raise AbraceError(f"{key}.{name}.range: {list(entry.range)}, expected its ends around {offset:g}")
     return [(name, given[name]) for name in names]
+
+
+def _offset(entry: CommandChannel) -> float:
+    """Reading or output at zero, in raw units."""
+    return entry.offset + (entry.zero if isinstance(entry, Channel) else 0.0)
 
 
 def _arrays(entries: Sequence[tuple[str, CommandChannel | None]]) -> tuple[NDArray[np.float64], ...]:
@@ -285,7 +295,7 @@ def _arrays(entries: Sequence[tuple[str, CommandChannel | None]]) -> tuple[NDArr
     rows = [
         (1.0, 0.0, -math.inf, math.inf)
         if entry is None
-        else (entry.sign * entry.gain * UNITS[entry.unit][1], entry.offset, *entry.range)
+        else (entry.sign * entry.gain * UNITS[entry.unit][1], _offset(entry), *entry.range)
         for _, entry in entries
     ]
     return tuple(np.array(rows, dtype=np.float64).reshape(-1, 4).T)

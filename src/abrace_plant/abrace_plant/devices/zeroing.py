@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from abrace_plant.devices.calibration import Calibration, CalibrationFile
 
 LIMIT = 0.05
-"""Greatest mean that is zeroed, as a share of half the channel's range."""
+"""Greatest `zero` of a channel, as a share of half its range."""
 REST = 0.005
 """Greatest standard deviation, and drift from half to half, of a channel at rest, likewise; noise is a tenth of it."""
 
@@ -81,9 +81,9 @@ class Zeroing:
             raise AbraceError(f"zeroing: only {len(self._readings)} of {self._samples} samples arrived")
         new = zeroed(self._file, self._channels, np.array(self._readings), self._which, LIMIT, REST)
         changes = (
-            f"{name} {self._file.channels[name].offset:.6g} to {new.channels[name].offset:.6g}" for name in self._which
+            f"{name} {self._file.channels[name].zero:.6g} to {new.channels[name].zero:.6g}" for name in self._which
         )
-        return new, f"offsets: {', '.join(changes)}"
+        return new, f"zero of each channel: {', '.join(changes)}"
 
 
 def check_names(channels: Sequence[str], which: Sequence[str]) -> None:

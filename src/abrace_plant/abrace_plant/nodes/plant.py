@@ -14,11 +14,12 @@ from abrace_core.node import Parameter, RCLError, run
 from abrace_core.node.conventions import DISPLAY_PERIOD
 from abrace_plant.devices.simulated import SimulatedRig, sensor_faults
 from abrace_plant.live.loop import COMMAND, GROUND
-from abrace_plant.nodes.rig_node import RigNode
+from abrace_plant.nodes.rig_node import RigNode, time_limits
 from abrace_plant.rig.model import Rig
 from abrace_plant.rig.sensors import SensorFault
 
 PARAMETERS = [
+    *time_limits(10.0, 1000),
     Parameter("disconnected_braces", [], "disconnected brace groups (1 the first); all: bare frame", element=int),
     Parameter("seed", 0, "seed of the sensor noise", minimum=0),
     Parameter(

@@ -52,12 +52,28 @@ PEAKS = ("drift", "displacement", "acceleration", "force", "table_displacement")
 RIG_PARAMETERS = [
     Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
     Parameter("duration", 0.0, "seconds to run, then end; 0: until stopped", minimum=0.0),
-    Parameter(
-        "command_timeout", 0.02, "seconds without an input while force or table act; longer is a fault", minimum=0.002
-    ),
-    Parameter("late_limit", 10, "samples in a row that may be late or missed; more are a fault", minimum=1),
     Parameter("stop_heartbeat", 0.0, "seconds within which every stop button must repeat; 0: off", minimum=0.0),
 ]
+
+
+def time_limits(longest_timeout: float, most_late: int) -> list[Parameter]:
+    """The parameters of a rig's time limits, with their greatest values: seconds and samples."""
+    return [
+        Parameter(
+            "command_timeout",
+            0.02,
+            "seconds without an input while force or table act; longer is a fault",
+            minimum=0.002,
+            maximum=longest_timeout,
+        ),
+        Parameter(
+            "late_limit",
+            10,
+            "samples in a row that may be late or missed; more are a fault",
+            minimum=1,
+            maximum=most_late,
+        ),
+    ]
 
 
 class RigNode(AbraceLifecycleNode):

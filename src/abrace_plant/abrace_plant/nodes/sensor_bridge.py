@@ -20,11 +20,12 @@ from abrace_plant.devices.file import calibration_of, commands_of, load_device
 from abrace_plant.devices.zeroing import Zeroing, check_names
 from abrace_plant.live.loop import Sample
 from abrace_plant.live.real_time import command_zeros
-from abrace_plant.nodes.rig_node import STOP_PERIOD, RigNode
+from abrace_plant.nodes.rig_node import STOP_PERIOD, RigNode, time_limits
 from abrace_plant.rig.model import Rig
 
 PARAMETERS = [
     Parameter("device", "", "device: a name in the package's configuration or a file", required=True),
+    *time_limits(0.1, 100),  # at real hardware the last force is held so long
     Parameter("zero_channels", [], "channels that ~/zero_sensors zeroes; empty: all", element=str, live=True),
 ]
 ZEROS_TIME = 0.2

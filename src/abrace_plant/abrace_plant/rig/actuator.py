@@ -30,7 +30,7 @@ class Actuator:
     Parameters
     ----------
     capacity
-        Greatest force of one actuator [N]; commands and forces are cut to it.
+        Greatest force of one actuator [N]; forces are cut to it.
     rate_limit
         Greatest rate of the command [N/s].
     lag
@@ -54,6 +54,8 @@ class Actuator:
         Force error of either sign to which the valve does not respond, because of its overlap [N].
     stall_force
         Supply pressure times the piston's area [N], at which the valve has no flow left.
+    command_limit
+        Greatest command [N] that the rig lets act, if that is less than the capacity.
     """
 
     capacity: float
@@ -68,6 +70,7 @@ class Actuator:
     friction: float = 0.0
     deadband: float = 0.0
     stall_force: float = np.inf
+    command_limit: float = np.inf
 
     def bench_model(self) -> LinearModel:
         """U to f with the rod blocked, as on the bench (Fig. 2)."""

@@ -41,6 +41,7 @@ class _Actuator(Checked):
     friction: NotNegative = 0.0
     deadband: NotNegative = 0.0
     stall_force: Positive = np.inf
+    command_limit: Positive = np.inf
 
 
 class _BraceGroup(Checked):

@@ -18,7 +18,7 @@ import numpy as np
 from abrace_core import signals
 from abrace_core.compiled import compiled
 from abrace_plant.rig.detectors import OSCILLATION_TIME, Quantity, detectors, sensor_noise
-from abrace_plant.rig.limits import FORCES, NOISE_MARGIN, UNITS, force_shares, limit_table
+from abrace_plant.rig.limits import FORCES, UNITS, cell_limits, limit_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -122,12 +122,10 @@ class Interlocks:
         repeats = [_repeats(sensor, share) for sensor in sensors] + [_repeats(sensor, 0.0) for sensor in sensors]
         self._needed = np.array(needed)
         self._needed[linear : linear + 2 * count] = np.maximum(needed[linear : linear + 2 * count], repeats)
-        shares = force_shares(rig)
+        of_cells = {name: cell_limits(rig, self.table[name], noise.get(name, 0.0)) for name in FORCES}
         self._limits = np.array(
             [
-                max(kind.value * shares[each.channel], NOISE_MARGIN * noise[each.interlock])
-                if each.interlock in FORCES
-                else kind.value
+                of_cells[each.interlock][each.channel] if each.interlock in FORCES else kind.value
                 for each, kind in zip(found.quantities, kinds, strict=False)
             ]
         )

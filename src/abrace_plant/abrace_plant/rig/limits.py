@@ -63,7 +63,7 @@ UNITS = {
 YIELD_DRIFT = 0.0125
 """Drift over storey height up to which a steel moment frame is taken for elastic: it yields at 0.01 to 0.02."""
 FORCES = ("force", "force_error", "oscillation")
-"""Interlocks whose values hold for the strongest actuator; see `force_shares`."""
+"""Interlocks whose values hold for the strongest actuator; see `group_limits`."""
 NOISE_MARGIN = 6.0
 """A value is at least so many standard deviations of its sensors' noise."""
 
@@ -128,11 +128,20 @@ def check_limits(rig: Rig, noise: Mapping[str, float]) -> None:
             )
 
 
-def force_shares(rig: Rig) -> dict[str, float]:
-    """By load cell of a `rig`, its actuator's capacity over the greatest one: its share of the values of FORCES."""
-    capacities = np.repeat([group.actuator.capacity for group in rig.braces], rig.braces_in_group)
+def group_limits(rig: Rig, interlock: Interlock, noise: float) -> NDArray[np.float64]:
+    """(groups,) value of an `interlock` of FORCES for the actuators of each group of a `rig` [N].
+
+    The interlock has that of the strongest ones. `noise`: standard deviation from the load cells' noise alone [N].
+    """
+    capacities = np.array([group.actuator.capacity for group in rig.braces])
+    return np.maximum(interlock.value * capacities / capacities.max(initial=0.0), NOISE_MARGIN * noise)
+
+
+def cell_limits(rig: Rig, interlock: Interlock, noise: float) -> dict[str, float]:
+    """By load cell, the `group_limits` of a `rig` for an `interlock` and `noise` [N]."""
     cells = rig.channel_names[2 * rig.floors + rig.groups : -1]
-    return dict(zip(cells, (capacities / capacities.max(initial=0.0)).tolist(), strict=True))
+    limits = np.repeat(group_limits(rig, interlock, noise), rig.braces_in_group)
+    return dict(zip(cells, limits.tolist(), strict=True))
 
 
 def frequencies(rig: Rig) -> NDArray[np.float64]:

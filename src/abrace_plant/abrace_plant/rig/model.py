@@ -197,8 +197,8 @@ class Rig:
 
     @property
     def capacity(self) -> NDArray[np.float64]:
-        """(groups,) greatest force of one brace of each group [N]."""
-        return np.array([group.actuator.capacity for group in self.braces])
+        """(groups,) greatest command of one brace of each group [N]: its capacity, or its command limit."""
+        return np.array([min(group.actuator.capacity, group.actuator.command_limit) for group in self.braces])
 
     @property
     def rate_limit(self) -> NDArray[np.float64]:

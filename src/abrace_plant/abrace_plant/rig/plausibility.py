@@ -161,6 +161,11 @@ def check_units(rig: Rig, stiffness: Sequence[Number], damping: Sequence[Number]
             raise AbraceError(rule.error(rules))
     for i, group in enumerate(rig.braces):
         actuator = group.actuator
+        if actuator.capacity < actuator.command_limit < np.inf:
+            raise AbraceError(
+                f"braces.{i}.actuator.command_limit: {actuator.command_limit:g} N, expected at most the capacity, "
+                f"{actuator.capacity:g} N"
+            )
         if problem := rate_problem(actuator.capacity, actuator.rate_limit, 1 / rig.sample_rate, RAMP_TIME):
             raise AbraceError(f"braces.{i}.actuator.rate_limit: {problem}")
 
