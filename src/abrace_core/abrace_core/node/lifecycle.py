@@ -256,8 +256,13 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
         with self.lock:
             self.active = False
             result = self._transition(self.deactivate, TransitionCallbackReturn.ERROR)
-        real_time.collect_garbage()
+        self.later(self._collect_garbage)  # up to 0.1 s, for which the caller does not have to wait
         return result if resting == TransitionCallbackReturn.SUCCESS else resting
+
+    def _collect_garbage(self) -> None:
+        """Collect garbage unless the node has become active again."""
+        if not self.active:
+            real_time.collect_garbage()
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Life cycle callback."""
