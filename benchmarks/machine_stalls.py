@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stalls of the machine itself: times at which a processor ran nothing, not even a program above all others.
+
+A virtual machine's processors are taken away by its host now and then, for milliseconds. No program of ours can cause
+that or prevent it. A process on each processor, with the greatest real-time priority, sleeps half a millisecond at a
+time and notes when it woke late. Where that priority is not allowed nothing is noted: its own delays would count.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+SLEEP = 0.5e-3
+STALL = 1e-3
+"""Seconds by which a process wakes late at a stall; half a sample period at 500 Hz."""
+HIGHEST = 99
+
+
+class MachineStalls:
+    """Notes the stalls while it is open; a context manager."""
+
+    def __enter__(self) -> Self:
+        self._folder = tempfile.TemporaryDirectory()
+        self._notes = [Path(self._folder.name) / str(processor) for processor in sorted(os.sched_getaffinity(0))]
+        for notes in self._notes:
+            notes.touch()
+        self._watches = [subprocess.Popen([sys.executable, __file__, str(notes)]) for notes in self._notes]
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for watch in self._watches:
+            watch.kill()
+            watch.wait()
+        self._folder.cleanup()
+
+    def since(self, moment: float) -> list[float]:
+        """Durations [s] of the stalls since a `moment` of time.monotonic."""
+        lines = [line.split() for notes in self._notes for line in notes.read_text(encoding="utf-8").splitlines()]
+        return [float(duration) for end, duration in lines if float(end) > moment]
+
+
+def watch(notes: Path) -> None:
+    """Write the end and the duration of each stall of the processor whose number is the name of the file `notes`."""
+    os.sched_setaffinity(0, {int(notes.name)})
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(HIGHEST))
+    except PermissionError:
+        return
+    gc.disable()
+    with notes.open("a", encoding="utf-8", buffering=1) as file:
+        last = time.monotonic()
+        while True:
+            time.sleep(SLEEP)
+            now = time.monotonic()
+            if now - last > SLEEP + STALL:
+                file.write(f"{now} {now - last - SLEEP}\n")
+                now = time.monotonic()
+            last = now
+
+
+if __name__ == "__main__":
+    watch(Path(sys.argv[1]))
