@@ -63,3 +63,14 @@ def test_yaml_of_users_may_merge_mappings_and_write_powers_of_ten_as_they_like(t
     path.write_text("a: {p: 1, p: 2}\n")
     with pytest.raises(AbraceError, match=r"some file .*: line 1: key 'p' appears twice"):
         read_mapping(path, "some")
+
+
+@pytest.mark.parametrize("number", ["010", "-007", "1:30", "1:30.5"])
+def test_a_number_that_yaml_would_read_as_another_one_is_refused(tmp_path, number):
+    """YAML 1.1: 010 is 8, 1:30 is 90."""
+    path = tmp_path / "file.yaml"
+    path.write_text(f"a: 1\nb: {number}\n")
+    with pytest.raises(AbraceError, match=rf"some file .*: line 2: {number}, expected a number without leading zeros"):
+        read_mapping(path, "some")
+    path.write_text(f"b: '{number}'\n")
+    assert read_mapping(path, "some") == {"b": number}

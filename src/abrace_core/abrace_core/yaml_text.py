@@ -23,11 +23,15 @@ _IN_WORDS = (
     (r"expected a single document", "a line of three dashes, expected one document"),
     (r"found unhashable key|expected a mapping", "a key that is a list or mapping, expected a text"),
 )
+_NOT_DECIMAL = ", expected a number without leading zeros and colons, or a text in quotes"
 _REAL_WITHOUT_POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML in which a duplicate key is an error, and 1e-3 a number; in YAML 1.1 the last key wins, 1e-3 is a text."""
+    """YAML in which a number is what it looks like, and a duplicate key an error.
+
+    In YAML 1.1 the last key wins, 1e-3 is a text, 010 is 8 and 1:30 is 90; the latter two are refused here.
+    """
 
     def compose_mapping_node(self, anchor: dict[Any, yaml.Node]) -> yaml.MappingNode:
         node: yaml.MappingNode = super().compose_mapping_node(anchor)
@@ -39,7 +43,22 @@ class _Loader(yaml.SafeLoader):
                 known.add((key.tag, key.value))
         return node
 
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        self._expect_decimal(node)
+        return super().construct_yaml_int(node)
 
+    def construct_yaml_float(self, node: yaml.ScalarNode) -> float:
+        self._expect_decimal(node)
+        return super().construct_yaml_float(node)
+
+    def _expect_decimal(self, node: yaml.ScalarNode) -> None:
+        text = str(node.value)
+        if ":" in text or re.fullmatch(r"[-+]?0[0-9_]+", text):
+            raise yaml.constructor.ConstructorError(None, None, f"{text}{_NOT_DECIMAL}", node.start_mark)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
+_Loader.add_constructor("tag:yaml.org,2002:float", _Loader.construct_yaml_float)
 _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _REAL_WITHOUT_POINT, list("-+.0123456789"))
 
 
@@ -72,6 +91,8 @@ def parse_yaml(text: str, where: str) -> Any:
         line = f": line {mark.line + 1}" if mark else ""
         if "appears twice" in problem:
             raise AbraceError(f"{where}{line}: {problem}, expected once") from error
+        if problem.endswith(_NOT_DECIMAL):
+            raise AbraceError(f"{where}{line}: {problem}") from error
         words = next((words for pattern, words in _IN_WORDS if re.search(pattern, problem)), f"{problem}")
         raise AbraceError(f"{where}{line}: not YAML: {words}") from error
     except yaml.YAMLError as error:

@@ -25,11 +25,16 @@ def sample_period_of(model: LinearModel, given: float = 0.0) -> float:
     Raises
     ------
     AbraceError
-        If neither is known.
+        If neither is known, or the model's slowest mode cannot be sampled with it.
     """
     found = given or model.provenance.get("sample_period")
     if not found:
         raise AbraceError("sample_period: not given, and the model's file does not have it, expected s")
+    for frequency, _ in pole_table(model.poles())[:1]:
+        if not 0 < float(found) < (most := np.pi / frequency):
+            raise AbraceError(
+                f"sample_period: {float(found):g} s, expected above 0 and below {most:.3g} s, half the slowest mode's period"
+            )
     return float(found)
 
 
