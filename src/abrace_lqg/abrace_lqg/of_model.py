@@ -33,7 +33,8 @@ def sample_period_of(model: LinearModel, given: float = 0.0) -> float:
     for frequency, _ in pole_table(model.poles())[:1]:
         if not 0 < float(found) < (most := np.pi / frequency):
             raise AbraceError(
-                f"sample_period: {float(found):g} s, expected above 0 and below {most:.3g} s, half the slowest mode's period"
+                f"sample_period: {float(found):g} s, expected above 0 and below {most:.3g} s, "
+                "half the slowest mode's period"
             )
     return float(found)
 
