@@ -57,10 +57,12 @@ ramp; a rig that is deactivated, interrupted or delayed for 3 s, and a controlle
 are not finite, of wrong length or of two senders; old and repeated samples; a law with the wrong sign; a stop in El
 Centro; motions beyond the table's limits; a sensor at the end of its range; services of a controller in use. A
 controller is killed, stopped (SIGSTOP) and made to flood the rig, 100 times each: the force has to be zero within
-`command_timeout`, ramp and 5 samples, with no step beyond the rate limit. In one run on two virtual processors, shared
-with other machines: 98 of 98 pairs, each case 20 of 20, killed, stopped and flooding 100 of 100 each, no step beyond
-the rate limit. Where other programs keep all processors busy, cases by the clock fail now and then: samples or answers
-are late.
+`command_timeout`, ramp and 5 samples, with no step beyond the rate limit. Measured on two virtual
+processors, which their host takes away for some milliseconds now and then: 98 of 98 pairs; each case 20 of 20 but the
+services of a controller in use, 19 of 20 with one answer late (100 of 100 when measured again, without the 50 samples
+after the services); killed, stopped and flooding 100 of 100 each; no step beyond the rate limit. A run that fails while
+a processor is taken away for 1 ms or more (`benchmarks/machine_stalls.py`) is repeated and counted in `repeated`: 2 of
+720. Where other programs keep all processors busy, cases by the clock fail now and then: samples or answers are late.
 
 `make soak` sends 10 000 messages of correct type and wrong content to every topic and service of every streaming
 node (`python benchmarks/wrong_endurance.py`), and runs 20 minutes of lockstep (`python
