@@ -31,7 +31,8 @@ def sample_period_of(model: LinearModel, given: float = 0.0) -> float:
     if not found:
         raise AbraceError("sample_period: not given, and the model's file does not have it, expected s")
     for frequency, _ in pole_table(model.poles())[:1]:
-        if not 0 < float(found) < (most := np.pi / frequency):
+        most = np.pi / frequency
+        if not 0 < float(found) < most:
             raise AbraceError(
                 f"sample_period: {float(found):g} s, expected above 0 and below {most:.3g} s, "
                 "half the slowest mode's period"
