@@ -5,6 +5,8 @@ import pytest
 
 from abrace_core.config_file import MOST_MISTAKES, Checked, expect_entries, read_config, read_mapping
 from abrace_core.errors import AbraceError
+from abrace_core.installed import find_file
+from abrace_core.linear_model import load_model
 
 
 class Brace(Checked):
@@ -74,3 +76,19 @@ def test_a_number_that_yaml_would_read_as_another_one_is_refused(tmp_path, numbe
         read_mapping(path, "some")
     path.write_text(f"b: '{number}'\n")
     assert read_mapping(path, "some") == {"b": number}
+
+
+def test_a_name_that_is_too_long_for_a_file_is_told_and_is_no_error_of_the_program():
+    name = 300 * "x"
+    for call, start in (
+        (lambda: read_mapping(name, "some"), f"some file {name}: File name too long"),
+        (lambda: load_model(name), f"model file {name}: File name too long"),
+        (
+            lambda: find_file(f"{name}.yaml", "abrace_plant", "config", ".yaml", "rig"),
+            f"rig file {name}.yaml: File name",
+        ),
+        (lambda: find_file(name, "abrace_plant", "config", ".yaml", "rig"), f"rig '{name}': unknown, expected"),
+    ):
+        with pytest.raises(AbraceError) as refused:
+            call()
+        assert str(refused.value).startswith(start)

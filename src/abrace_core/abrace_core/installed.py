@@ -22,14 +22,18 @@ def find_file(name: str, package: str, folder: str, ending: str, kind: str) -> P
         If there is no such file; names the installed ones.
     """
     if name.endswith(ending) or "/" in name:
-        if not Path(name).is_file():
-            what = "a folder, expected a file" if Path(name).is_dir() else f"no such file{_near(Path(name), ending)}"
-            raise AbraceError(f"{kind} file {name}: {what}")
+        try:
+            if not Path(name).is_file():
+                is_folder = Path(name).is_dir()
+                what = "a folder, expected a file" if is_folder else f"no such file{_near(Path(name), ending)}"
+                raise AbraceError(f"{kind} file {name}: {what}")
+        except OSError as error:  # a name that is too long, a folder that may not be read
+            raise AbraceError(f"{kind} file {name}: {error.strerror}") from error
         return Path(name)
     installed = _installed(package, folder)
     path = installed / f"{name}{ending}"
-    if not path.is_file():
-        names = sorted(entry.name.removesuffix(ending) for entry in installed.glob(f"*{ending}"))
+    names = sorted(entry.name.removesuffix(ending) for entry in installed.glob(f"*{ending}"))
+    if name not in names:
         raise AbraceError(
             f"{kind} {name!r}: unknown, expected a file ending in {ending} or one of {', '.join(names)}"
             f"{did_you_mean(name, names)}"

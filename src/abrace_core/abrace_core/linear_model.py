@@ -350,7 +350,7 @@ def _content_of(path: Path | str) -> dict[str, Any]:
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
-        what = "a folder, expected a file" if Path(path).is_dir() else error.strerror
+        what = "a folder, expected a file" if isinstance(error, IsADirectoryError) else error.strerror
         raise AbraceError(f"model file {path}: {what}") from error
     except ValueError as error:
         raise AbraceError(f"model file {path}: {not_json(error)}") from error

@@ -75,7 +75,7 @@ def read_yaml(path: Path | str, kind: str) -> Any:
         return parse_yaml(Path(path).read_text(encoding="utf-8"), where)
     except OSError as error:
         raise AbraceError(
-            f"{where}: {'a folder, expected a file' if Path(path).is_dir() else error.strerror}"
+            f"{where}: {'a folder, expected a file' if isinstance(error, IsADirectoryError) else error.strerror}"
         ) from error
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
