@@ -3,7 +3,8 @@
 
 A virtual machine's processors are taken away by its host now and then, for milliseconds. No program of ours can cause
 that or prevent it. A process on each processor, with the greatest real-time priority, sleeps half a millisecond at a
-time and notes when it woke late. Where that priority is not allowed nothing is noted: its own delays would count.
+time and notes when it woke late; it ends with the process that began it. Where that priority is not allowed nothing is
+noted: its own delays would count.
 """
 
 from __future__ import annotations
@@ -59,9 +60,10 @@ def watch(notes: Path) -> None:
     except PermissionError:
         return
     gc.disable()
+    parent = os.getppid()
     with notes.open("a", encoding="utf-8", buffering=1) as file:
         last = time.monotonic()
-        while True:
+        while os.getppid() == parent:
             time.sleep(SLEEP)
             now = time.monotonic()
             if now - last > SLEEP + STALL:

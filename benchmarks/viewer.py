@@ -6,8 +6,7 @@ to what is drawn of them. For `make soak`.
 
 lost, alone_lost     samples of the rig that its controller or the logger missed, with the viewer and without
 faults, alone_faults turns that ended with a fault of the rig, which a machine that is busy otherwise makes by itself
-repeated, alone_repeated  turns that lost samples or ended with a fault while the machine itself stalled for more than a
-                 sample period (machine_stalls.py): they were repeated, and are in no other number
+stall_ms, alone_stall_ms  the longest stall of the machine itself in the turns of each kind (machine_stalls.py)
 p999_us, alone_p999_us, p999_ratio  99.9 % of the times from a sample to its command, by the middleware's time stamps:
                  median over the turns of each kind, and their ratio
 shown, not_shown     samples that the client received, and that it did not
@@ -22,7 +21,6 @@ python benchmarks/viewer.py continuous [SECONDS]  # with the viewer: 600
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import re
@@ -62,8 +60,6 @@ P999 = 99.9
 CLIENT, DONE = "client", "client_done"
 """The client's process, and the file at which it ends."""
 ALWAYS = (0, 2**62)
-PERIOD = 0.002
-"""Seconds from sample to sample."""
 
 
 def sequence_of(payload: bytes) -> int:
@@ -194,23 +190,15 @@ def continuous(seconds: float = CONTINUOUS) -> dict[str, Any]:
 def viewer_cost(seconds: float = SECONDS, turns: int = TURNS) -> dict[str, Any]:
     """So many pairs of turns; call it in a folder and on a domain of one's own."""
     save_controller(lqg3(), "lqg3.yaml")
-    alone, viewed, repeated, numbers = [], [], {False: 0, True: 0}, itertools.count()
+    alone: list[dict[str, Any]] = []
+    viewed: list[dict[str, Any]] = []
     with MachineStalls() as stalls:
-
-        def steady_turn(with_viewer: bool) -> dict[str, Any]:
-            while True:
-                began, found = time.monotonic(), turn(next(numbers), seconds, with_viewer)
-                longest = max(stalls.since(began), default=0.0)
-                undisturbed = not (found["missing"] or found["controller_lost"] or found["fault"])
-                print(f"longest stall of the machine {1e3 * longest:.1f} ms: {found}", file=sys.stderr, flush=True)
-                if undisturbed or longest < PERIOD or repeated[with_viewer] >= turns:
-                    return found
-                repeated[with_viewer] += 1
-
-        for number in range(turns):
-            alone.append(steady_turn(False))
-            viewed.append(steady_turn(True))
-            print(f"turn {number + 1} of {turns}", file=sys.stderr, flush=True)
+        for number in range(2 * turns):
+            began, second = time.monotonic(), number % 2 == 1
+            measured = turn(number, seconds, viewed=second)
+            found = {**measured, "stall_ms": 1e3 * max(stalls.since(began), default=0.0)}
+            (viewed if second else alone).append(found)
+            print(f"turn {number + 1} of {2 * turns}: {found}", file=sys.stderr, flush=True)
     with_viewer, without = (float(np.median([one["p999"] for one in kind])) for kind in (viewed, alone))
     return {
         "samples": sum(one["samples"] for one in viewed),
@@ -218,8 +206,8 @@ def viewer_cost(seconds: float = SECONDS, turns: int = TURNS) -> dict[str, Any]:
         "alone_lost": sum(one["missing"] + one["controller_lost"] for one in alone),
         "faults": sum(one["fault"] for one in viewed),
         "alone_faults": sum(one["fault"] for one in alone),
-        "repeated": repeated[True],
-        "alone_repeated": repeated[False],
+        "stall_ms": max(one["stall_ms"] for one in viewed),
+        "alone_stall_ms": max(one["stall_ms"] for one in alone),
         "p999_us": with_viewer,
         "alone_p999_us": without,
         "p999_ratio": with_viewer / without,

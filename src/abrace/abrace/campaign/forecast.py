@@ -122,9 +122,12 @@ class _Prepared:
         self.model = rig.discrete_model()
         noise = detectors(rig).noise(sensor_noise(rig))
         interlocks = limit_table(rig, noise)
-        self.limits = {kind: [_limit(kind, rig, interlocks[kind])] for kind in UNITS if kind != "table"}
-        forces = group_limits(rig, interlocks["force"], noise.get("force", 0.0)).tolist()
-        self.limits["force"] = [_limit("force", rig, replace(interlocks["force"], value=value)) for value in forces]
+        values = {kind: [interlocks[kind].value] for kind in UNITS if kind != "table"}
+        values["force"] = group_limits(rig, interlocks["force"], noise.get("force", 0.0)).tolist()
+        self.limits = {
+            kind: [_limit(kind, rig, replace(interlocks[kind], value=value)) for value in of_kind]
+            for kind, of_kind in values.items()
+        }
         """By kind: the limit of each of its signals, or one that holds for all."""
 
 

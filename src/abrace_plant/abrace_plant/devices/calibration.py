@@ -69,6 +69,11 @@ class CommandChannel(Checked):
     offset: float = 0.0
     sign: Literal[1, -1] = 1
 
+    @property
+    def at_zero(self) -> float:
+        """Reading or output at zero, in raw units."""
+        return self.offset
+
 
 class Channel(CommandChannel):
     """A measured channel; `delay` is that of amplifier, converter and anti-aliasing filter [s].
@@ -79,6 +84,11 @@ class Channel(CommandChannel):
     zero: float = 0.0
     filter: Filter | None = None
     delay: Annotated[float, pydantic.Field(ge=0, lt=1)] = 0.0
+
+    @property
+    def at_zero(self) -> float:
+        """Reading at rest, in raw units."""
+        return self.offset + self.zero
 
 
 class CalibrationFile(Checked):
@@ -203,7 +213,7 @@ class Calibration:
             return {}
         return {
             name: f"{self.file.channels[name].sign * self.file.channels[name].gain:g} {self.file.channels[name].unit}, "
-            f"offset {self.file.channels[name].offset + self.file.channels[name].zero:g}, lag {1e3 * lag:.2f} ms"
+            f"offset {self.file.channels[name].at_zero:g}, lag {1e3 * lag:.2f} ms"
             for name, lag in zip(self.channels, self.lag, strict=True)
         }
 
@@ -280,14 +290,9 @@ def _entries(
         if entry.unit not in UNITS or UNITS[entry.unit][0] != signals.unit(name):
             fitting = ", ".join(unit for unit, (si, _) in UNITS.items() if si == signals.unit(name))
             raise AbraceError(f"{key}.{name}.unit: {entry.unit!r}, expected one of {fitting}")
-        if not entry.range[0] < (offset := _offset(entry)) < entry.range[1]:
-            raise AbraceError(f"{key}.{name}.range: {list(entry.range)}, expected its ends around {offset:g}")
+        if not entry.range[0] < entry.at_zero < entry.range[1]:
+            raise AbraceError(f"{key}.{name}.range: {list(entry.range)}, expected its ends around {entry.at_zero:g}")
     return [(name, given[name]) for name in names]
-
-
-def _offset(entry: CommandChannel) -> float:
-    """Reading or output at zero, in raw units."""
-    return entry.offset + (entry.zero if isinstance(entry, Channel) else 0.0)
 
 
 def _arrays(entries: Sequence[tuple[str, CommandChannel | None]]) -> tuple[NDArray[np.float64], ...]:
@@ -295,7 +300,7 @@ def _arrays(entries: Sequence[tuple[str, CommandChannel | None]]) -> tuple[NDArr
     rows = [
         (1.0, 0.0, -math.inf, math.inf)
         if entry is None
-        else (entry.sign * entry.gain * UNITS[entry.unit][1], _offset(entry), *entry.range)
+        else (entry.sign * entry.gain * UNITS[entry.unit][1], entry.at_zero, *entry.range)
         for _, entry in entries
     ]
     return tuple(np.array(rows, dtype=np.float64).reshape(-1, 4).T)
