@@ -84,10 +84,10 @@ def test_a_name_that_is_too_long_for_a_file_is_told_and_is_no_error_of_the_progr
         (lambda: read_mapping(name, "some"), f"some file {name}: File name too long"),
         (lambda: load_model(name), f"model file {name}: File name too long"),
         (
-            lambda: find_file(f"{name}.yaml", "abrace_plant", "config", ".yaml", "rig"),
+            lambda: find_file(f"{name}.yaml", "abrace_core", "config", ".yaml", "rig"),
             f"rig file {name}.yaml: File name",
         ),
-        (lambda: find_file(name, "abrace_plant", "config", ".yaml", "rig"), f"rig '{name}': unknown, expected"),
+        (lambda: find_file(name, "abrace_core", "config", ".yaml", "rig"), f"rig '{name}': unknown, expected"),
     ):
         with pytest.raises(AbraceError) as refused:
             call()
