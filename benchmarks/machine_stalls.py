@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stalls of the machine itself: times at which a processor ran nothing, not even a program above all others.
+"""Stalls of the machine itself: times at which a processor ran no program, not even one above all others.
 
-A virtual machine's processors are taken away by its host now and then, for milliseconds. No program of ours can cause
-that or prevent it. A process on each processor, with the greatest real-time priority, sleeps half a millisecond at a
-time and notes when it woke late; it ends with the process that began it. Where that priority is not allowed nothing is
-noted: its own delays would count.
+A virtual machine's processors are taken away by its host now and then, for milliseconds; and a kernel without
+PREEMPT_RT is not interrupted within a long system call of any program. No priority prevents either. A process on each
+processor, with the greatest real-time priority, sleeps half a millisecond at a time and notes when it woke late; it
+ends with the process that began it. Where that priority is not allowed nothing is noted: its own delays would count.
 """
 
 from __future__ import annotations

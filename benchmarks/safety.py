@@ -8,6 +8,7 @@ controller                  killed, stopped, flooding: runs, and those in which 
                             `command_timeout` (10 samples), ramp (250) and 5 samples more
 while_stalled               of each: runs that failed, and in which the machine itself stalled for 1 ms or more
                             (machine_stalls.py); they count as failed
+faults_before               of each: faults of the rig before the case did what it tries, cleared as a person would
 
 python benchmarks/safety.py [RUNS [RUNS OF A CONTROLLER THAT FAILS [CASE ...]]]
 """
@@ -51,7 +52,7 @@ class Tries:
     Attributes
     ----------
     found
-        By name of a case: `passed`, `runs` and `while_stalled`.
+        By name of a case: `passed`, `runs`, `while_stalled` and `faults_before`.
     worst_step
         Greatest of all runs.
     """
@@ -81,7 +82,7 @@ class Tries:
         bench = None
         while left:
             name, case = left.pop(0)
-            counts = self.found.setdefault(name, {"passed": 0, "runs": 0, "while_stalled": 0})
+            counts = self.found.setdefault(name, {"passed": 0, "runs": 0, "while_stalled": 0, "faults_before": 0})
             counts["runs"] += 1
             began = time.monotonic()
             try:
@@ -98,6 +99,7 @@ class Tries:
                 return
             finally:
                 if bench is not None:
+                    counts["faults_before"] += getattr(bench, "faults_before", 0)
                     self.worst_step = max(self.worst_step, worst_step(bench.responses))
                 took = time.monotonic() - began
                 print(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import sys
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +45,11 @@ DRIVEN: dict[str, Any] = {"rms": 4000.0, "duration": 60.0}
 SHAKEN: dict[str, Any] = {"record": "white_noise", "duration": 60.0, "rms": 0.3, "band": [0.3, 10.0]}
 
 
+def stamp_of(response: Response) -> int:
+    """Sampling instant [ns] of the wall clock."""
+    return int(10**9 * response.header.stamp.sec + response.header.stamp.nanosec)
+
+
 class Rig:
     """A rig by the clock, whom somebody commands.
 
@@ -53,10 +59,16 @@ class Rig:
         Where its nodes are.
     commander
         `excitation`, or `controller` with a shaken table.
+
+    Attributes
+    ----------
+    faults_before
+        Faults before the present case could begin; it began when they were cleared, as a person would.
     """
 
     def __init__(self, graph: Graph, commander: str) -> None:
         self.graph, self.commander = graph, commander
+        self.faults_before = 0
         graph.by_the_clock = True
         self.responses: list[Response] = graph.listen(Response, "response")
         self.commands: list[BraceCommand] = graph.listen(BraceCommand, "brace_command")
@@ -87,7 +99,7 @@ class Rig:
 
     def begin(self) -> None:
         """Let the rig run, and somebody command it; forget the samples before."""
-        graph = self.graph
+        graph, self.faults_before = self.graph, 0
         for name in (self.commander, "plant"):
             if name not in graph.started:
                 if name == "plant":
@@ -140,17 +152,27 @@ class Rig:
         return [one.sequence for one in answers if in_force.get(one.sequence + 2, one.force[0]) != one.force[0]]
 
     def until_driven(self, force: float) -> None:
-        """Wait until the braces push with more than a `force` [N], by commands in time: a new node's are late."""
+        """Wait until the braces push with more than a `force` [N], by commands in time: a new node's are late.
+
+        A fault before that is counted and cleared, and the wait begins anew.
+        """
 
         def driven() -> bool:
             late = self.last.sequence - self.commands[-1].sequence if self.commands else 10
             return bool(abs(self.last.command[0]) > force and abs(late) < 5)
 
-        self.graph.until(driven, f"{force:g} N")
+        for _ in range(TRIES):
+            self.graph.until(lambda: driven() or self.last.state == Response.LATCHED, f"{force:g} N")
+            if self.last.state != Response.LATCHED:
+                return
+            self.faults_before += 1
+            print(f"a fault before the case: {self.last.cause}", file=sys.stderr, flush=True)
+            self.clear()
+        raise AssertionError(f"{TRIES} faults before {force:g} N: {self.last.cause}")
 
     def sample_at(self, moment: int) -> int:
         """Number of the last sample before a moment of the wall clock [ns]."""
-        stamps = [10**9 * one.header.stamp.sec + one.header.stamp.nanosec for one in self.responses]
+        stamps = list(map(stamp_of, self.responses))
         return int(self.responses[max(0, int(np.searchsorted(stamps, moment)) - 1)].sequence)
 
     def expect_zero(self, since: int, within: int) -> None:
@@ -279,14 +301,15 @@ def stopped(rig: Rig) -> None:
 
 
 def flooding(rig: Rig) -> None:
-    """The same sample is answered thousands of times, with other forces."""
+    """Every sample is answered many times, with other forces: by a sender who knows the present one by the clock."""
     rig.until_driven(1e3)
-    message = BraceCommand(run=rig.last.run)
+    known, taken = rig.last, stamp_of(rig.last)
+    message = BraceCommand(run=known.run)
     moment, begin = time.time_ns(), time.monotonic()
     for number in range(FLOOD):
-        rig.graph.executor.spin_once(timeout_sec=0.0)
-        # the rig may be some samples ahead of what we have seen
-        message.sequence, message.force = rig.last.sequence + number % 16 // 2, [20e3 if number % 2 else -20e3]
+        present = known.sequence + int(1e-9 * RATE * (time.time_ns() - taken))
+        # from two samples before it to the one that follows
+        message.sequence, message.force = present - 2 + number // 2 % 4, [20e3 if number % 2 else -20e3]
         rig.flood.publish(message)
         time.sleep(max(0.0, begin + number / FLOOD_RATE - time.monotonic()))
     rig.expect_zero(rig.sample_at(moment), TIMEOUT + RAMP + MARGIN)

@@ -27,6 +27,9 @@ found, warnings, go = {}, [], threading.Event()
 def middleware():
     go.wait()
     found["middleware"] = state()
+def sampling():
+    real_time.above_the_loops(given)
+    found["sampling"] = state()
 def services(processors):
     real_time.beside_the_loop(processors)
     found["services"] = state()
@@ -37,8 +40,9 @@ threads[0].start()
 given = SimpleNamespace(thread_priority=20, cpu_affinity=[min(processors)], lock_memory=True)
 real_time.apply(given, warnings.append)
 go.set()
-threads.append(threading.Thread(target=services, args=[processors]))
-threads[1].start()
+threads += [threading.Thread(target=sampling), threading.Thread(target=services, args=[processors])]
+for thread in threads[1:]:
+    thread.start()
 for thread in threads:
     thread.join()
 found["loop"] = state()
@@ -53,13 +57,14 @@ def run(*before: str) -> dict:
     return json.loads(subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout)
 
 
-def test_the_loop_gets_its_priority_its_processor_and_memory_and_services_the_next_lower_priority():
+def test_the_loop_gets_its_priority_its_processor_and_memory_a_rigs_samples_one_more_and_services_one_less():
     result = run()
     if result["warnings"]:
         pytest.skip("this user may have no real-time priority")
     everywhere = sorted(os.sched_getaffinity(0))
     ours = [os.SCHED_FIFO, 20, everywhere[:1]]
-    assert result["found"] == {"loop": ours, "middleware": ours, "services": [os.SCHED_FIFO, 19, everywhere]}
+    others = {"sampling": [os.SCHED_FIFO, 21, everywhere[:1]], "services": [os.SCHED_FIFO, 19, everywhere]}
+    assert result["found"] == {"loop": ours, "middleware": ours, **others}
     assert result["locked"] > 1000
 
 
@@ -70,7 +75,7 @@ def test_what_is_not_allowed_is_a_warning_that_says_what_to_do():
     assert "lock_memory is not allowed" in memory
     assert "'@realtime - memlock unlimited' >> /etc/security/limits.d/" in memory
     assert "thread_priority 20 is not allowed" in priority
-    assert "'@realtime - rtprio 20' >> /etc/security/limits.d/" in priority
+    assert "'@realtime - rtprio 21' >> /etc/security/limits.d/" in priority
     assert result["locked"] == 0
     assert result["found"]["loop"] == [os.SCHED_OTHER, 0, sorted(os.sched_getaffinity(0))[:1]]
 

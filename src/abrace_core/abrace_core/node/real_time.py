@@ -20,7 +20,13 @@ from abrace_core.errors import AbraceError
 from abrace_core.node.parameters import Parameter
 
 PARAMETERS = (
-    Parameter("thread_priority", 0, "SCHED_FIFO priority of the loop; 0: normal scheduling", minimum=0, maximum=98),
+    Parameter(
+        "thread_priority",
+        0,
+        "SCHED_FIFO priority of the loop, a rig's samples have one more; 0: normal scheduling",
+        minimum=0,
+        maximum=98,
+    ),
     Parameter("cpu_affinity", [], "processors on which the loop runs, by number; empty: all", element=int, minimum=0),
     Parameter("lock_memory", False, "keep all of the node's memory in RAM"),
 )
@@ -84,7 +90,7 @@ def apply(given: Any, warn: Callable[[str], object]) -> None:
             for thread in _threads():
                 os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(given.thread_priority))
         except PermissionError:
-            limit = _LIMITS.format(limit=f"rtprio {given.thread_priority}")
+            limit = _LIMITS.format(limit=f"rtprio {given.thread_priority + 1}")
             warn(f"thread_priority {given.thread_priority} is not allowed, samples may be late; {limit}")
 
 
@@ -97,13 +103,18 @@ def _lock_memory(warn: Callable[[str], object]) -> None:
         warn(f"lock_memory is not allowed, samples may be late; {_LIMITS.format(limit='memlock unlimited')}")
 
 
-def as_the_loop(given: Any) -> None:
-    """Give the calling thread the loop's processors and priority, from `given`; a priority only if allowed."""
+def above_the_loops(given: Any) -> None:
+    """Give the calling thread the loop's processors and the priority next above it, from `given`, if allowed.
+
+    For the thread that takes a rig's samples by the clock. With the same priority it waits for its own node's and
+    other nodes' loops that work off messages, for example of a controller that had been held up.
+    """
     if given.cpu_affinity:
         os.sched_setaffinity(0, given.cpu_affinity)
     if given.thread_priority:
-        with contextlib.suppress(PermissionError):
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(given.thread_priority))
+        for priority in (given.thread_priority, given.thread_priority + 1):
+            with contextlib.suppress(PermissionError):
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
 
 def beside_the_loop(processors: set[int]) -> None:

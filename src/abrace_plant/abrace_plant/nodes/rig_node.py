@@ -158,7 +158,7 @@ class RigNode(AbraceLifecycleNode):
 
     def prepare(self) -> None:
         """Called in the thread of a run by the clock before its first sample."""
-        real_time.as_the_loop(self.parameters)
+        real_time.above_the_loops(self.parameters)
 
     def come_to_rest(self) -> None:
         """Bring braces and table to rest; the run ends with the first sample at which they are."""
