@@ -123,7 +123,11 @@ class Rig:
         """Clear all faults, and have the signal begin anew."""
         graph = self.graph
         graph.until(lambda: self.last.state == Response.LATCHED, "all to be at rest")
+        at_its_end = "displacement of the table" in self.last.cause
         graph.until(self.cleared, "the rig to be cleared")
+        if at_its_end:  # after many stops: a person moves the table to the middle, docs/interlocks.md
+            for transition in ("deactivate", "cleanup", "configure", "activate"):
+                assert graph.change_state("plant", transition), f"plant: {transition} refused; {graph.reported()}"
         name, transitions = self.commander, ["deactivate", "activate"]
         if self.commander == "controller":
             # where the stop left the table there may be no room for the record: a person moves it to the middle
