@@ -308,15 +308,19 @@ def flooding(rig: Rig) -> None:
     """Every sample is answered many times, with other forces: by a sender who knows the present one by the clock."""
     rig.until_driven(1e3)
     known, taken = rig.last, stamp_of(rig.last)
+
+    def present() -> int:
+        """Number of the present sample, which has not reached us."""
+        return int(known.sequence + 1e-9 * RATE * (time.time_ns() - taken))
+
     message = BraceCommand(run=known.run)
-    moment, begin = time.time_ns(), time.monotonic()
+    first, begin = present(), time.monotonic()
     for number in range(FLOOD):
-        present = known.sequence + int(1e-9 * RATE * (time.time_ns() - taken))
-        # from two samples before it to the one that follows
-        message.sequence, message.force = present - 2 + number // 2 % 4, [20e3 if number % 2 else -20e3]
+        # from two samples before the present one to the one that follows
+        message.sequence, message.force = present() - 2 + number // 2 % 4, [20e3 if number % 2 else -20e3]
         rig.flood.publish(message)
         time.sleep(max(0.0, begin + number / FLOOD_RATE - time.monotonic()))
-    rig.expect_zero(rig.sample_at(moment), TIMEOUT + RAMP + MARGIN)
+    rig.expect_zero(first, TIMEOUT + RAMP + MARGIN)
     assert "two messages on brace_command" in rig.last.cause, rig.last.cause
 
 
