@@ -20,6 +20,7 @@ def verify_bridge() -> tuple[dict[str, Any], list[Claim]]:
         Claim("bridge: malformed packets", values["malformed_packets"], 100_000, "at 10 kHz", least=True),
         Claim("bridge: wrong samples", values["wrong_samples"], 0, "-"),
         Claim("bridge: missed samples", values["missed_samples"], 0, "-"),
+        Claim("bridge: faults in the demo", int(bool(demo["fault"])), 0, demo["fault"] or "-"),
         Claim("bridge: samples lost in the demo", demo["lost_samples"], 0, f"{DEMO_SECONDS:g} s"),
     ]
     return {**values, "demo": demo}, claims

@@ -335,6 +335,17 @@ def test_after_a_delay_the_force_makes_no_step_beyond_the_rate_limit(rig, bench,
         assert before - after < 20.0, "the ramp begins when the delay is noticed, not before"
 
 
+@pytest.mark.parametrize("event", [RigSafety.deactivate, lambda safety: safety.stop("pressed by x")])
+def test_a_second_event_at_a_delay_does_not_shorten_the_ramp(bench, event):
+    bench.drive([20e3] * 20)
+    before = bench.safety.outputs[0].value[0]
+    bench.loop.take(reading(bench, missed=300))
+    event(bench.safety)
+    (after,), _ = bench.loop.act(301)
+    assert bench.safety.state is State.RAMPING_DOWN
+    assert 0.0 < before - after < 20.0, "the ramp begins when the delay is noticed, not before"
+
+
 def test_a_channel_beyond_the_bits_of_a_message_stops_the_rig_at_the_end_of_its_range():
     rig = load_rig(Path(__file__).parents[2] / "src/abrace_plant/config/sac_la_20.yaml")
     safety = RigSafety()

@@ -39,13 +39,13 @@ class Rig:
         self.graph = graph
         self.commands = graph.listen(BraceCommand, "brace_command")
         self.publisher = graph.publisher(Response, "response")
-        self.run, self.sequence, self.state = 1, 0, Response.RUNNING
+        self.run, self.sequence, self.state, self.floors = 1, 0, Response.RUNNING, 3
 
     def send(self, a1: float, lost: int = 0) -> float:
         """Send the next sample, after so many that are lost; returns the force that answers it."""
         self.sequence += 1 + lost
         sample = Response(run=self.run, sequence=self.sequence, state=self.state, flags=Response.LOCKSTEP)
-        sample.displacement, sample.acceleration = [0.0] * 3, [a1, 0.0, 0.0]
+        sample.displacement, sample.acceleration = [0.0] * self.floors, [a1, 0.0, 0.0][: self.floors]
         sample.braces = [1]
         sample.stroke = sample.force = sample.command = [0.0]
         nanoseconds = self.sequence * PERIOD
@@ -178,6 +178,15 @@ def test_a_few_lost_samples_are_bridged_and_more_are_a_fault_that_a_person_clear
     # the law fades in, and so does what the node lets act: the square of a half cosine is 1.3 times as steep
     assert np.abs(np.diff([0.0, *rising])).max() < 1.31 * STEEPEST * 1000.0, "it begins anew, from zero"
     np.testing.assert_allclose(rising[-10:], 1000.0)
+
+
+def test_a_sample_of_another_rigs_size_is_a_fault_that_ends_with_a_ramp(rig: Rig):
+    rig.hold(1.0, STEPS + 20)
+    rig.floors = 1
+    falling = rig.hold(1.0, STEPS + 5)
+    rig.graph.until_fault("controller", "has 1 floors and 1 brace groups, expected 3 floors and 1 brace groups")
+    assert np.abs(np.diff([1000.0, *falling])).max() < 1.01 * STEEPEST * 1000.0
+    assert falling[-1] == 0.0
 
 
 def test_saturations_are_counted_and_a_rig_that_begins_anew_is_answered_from_zero(rig: Rig):

@@ -34,6 +34,8 @@ class BraceCommander(Commander):
     """Answers each Response with a BraceCommand while active."""
 
     guard: CommandGuard
+    size = 0, 0
+    """Floors and brace groups of the rig, in its present run."""
 
     def __init__(self, name: str, table: Sequence[Parameter]) -> None:
         super().__init__(name, [*table, RATE_LIMIT])
@@ -74,8 +76,13 @@ class BraceCommander(Commander):
         safety, wanted = self.safety, None
         if cause := safety.cause or self.answering.cause:
             self.interrupt(cause)
+        size = self.responses.floors, self.responses.groups
         if lost == RESTART:
-            self.restart(head.sequence, self.responses.floors, self.responses.groups)
+            self.size = size
+            self.restart(head.sequence, *size)
+        elif size != self.size:
+            now, before = (f"{floors} floors and {groups} brace groups" for floors, groups in (size, self.size))
+            safety.fault(f"sample {head.sequence} has {now}, expected {before} as before in this run")
         if safety.acting and lost != HOLD:
             wanted = self.force(head.sequence, z, max(lost, 0)).tolist()
         safety.act([wanted])

@@ -29,7 +29,9 @@ TOPICS = ("/emergency_stop", "emergency_stop")
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 """The middleware's name of a node that has left, or whose name it has not received after a lost connection."""
 
-_DEPTH = 100
+_DEPTH = 5000
+"""Messages kept until they are read: a rig that is being activated or deactivated does not read for some seconds, and
+several operator's pages with ten messages a second each must not displace a stop that was sent once."""
 _QOS = (
     QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE),
     QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL),

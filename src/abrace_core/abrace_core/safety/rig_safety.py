@@ -213,7 +213,7 @@ class RigSafety:
         if isinstance(outcome, str):
             raise AbraceError(f"{outcome}{f' ({self.cause})' if self.cause else ''}")
         before, self.state = self.state, outcome
-        self._entered = before is not outcome
+        self._entered |= before is not outcome
         if outcome is State.RAMPING_DOWN and before is not outcome:
             for output in self.outputs:
                 output.begin_to_rest()
