@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -35,6 +36,7 @@ class NiDaqmx:
         self.file = read_config(path, NiDaqmxFile, "device")
         self.calibration = load_calibration(path, self.file, rig)
         self.rate, self.tasks = rig.sample_rate, list[Any]()
+        self.last = [0.0] * self.calibration.commands
 
     def open(self) -> None:
         """Zero at the outputs, then start the clock."""
@@ -45,13 +47,13 @@ class NiDaqmx:
         self.tasks[0].ao_channels.add_ao_voltage_chan(self.file.outputs)
         self.tasks[1].ai_channels.add_ai_voltage_chan(self.file.inputs)
         self.tasks[1].timing.cfg_samp_clk_timing(self.rate, sample_mode=AcquisitionType.CONTINUOUS)
-        self.make_safe()
+        self.write(self.last)
         self.tasks[1].start()
 
     def exchange(self, command: Sequence[float], table: float) -> Reading:
         """Write, then wait for the next scan; of several that have come the last one is used."""
         try:
-            self.tasks[0].write(self.calibration.outputs([*command, table]))
+            self.write([*command, table])
             scans = max(1, self.tasks[1].in_stream.avail_samp_per_chan)
             raw = np.array(self.tasks[1].read(scans, timeout=0.02)).reshape(-1, scans)[:, -1]
         except Exception as error:  # nidaqmx.DaqError
@@ -60,9 +62,18 @@ class NiDaqmx:
         return Reading(values, time.time_ns() - round(1e9 * self.calibration.delay), clipped, scans - 1)
 
     def make_safe(self) -> None:
-        """Zero at the outputs: abrace has ramped down before, unless the card failed."""
-        if self.tasks:
-            self.tasks[0].write(self.calibration.outputs([0.0] * self.calibration.commands))
+        """Zero at the outputs; by a ramp of half a second, as a step of the force would shake the building."""
+        start = self.last
+        steps = round(0.5 * self.rate) if any(start) else 1
+        with contextlib.suppress(Exception):  # the card itself has failed
+            for step in reversed(range(steps)):
+                self.write([value * step / steps for value in start])
+                time.sleep(1 / self.rate)
+
+    def write(self, values: Sequence[float]) -> None:
+        """Write force [N] and table acceleration [m/s^2], in volts."""
+        self.tasks[0].write(self.calibration.outputs(values))
+        self.last = list(values)
 
     def close(self) -> None:
         """Stop the clock; the outputs stay as they are."""

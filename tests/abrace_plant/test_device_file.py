@@ -3,6 +3,7 @@
 
 import dataclasses
 import sys
+import time
 import types
 from pathlib import Path
 
@@ -118,6 +119,21 @@ def test_the_card_of_the_docs_is_a_device(card: Device):
     card.make_safe()
     card.close()
     assert Task.written == [[0.0, 0.0], [2.0, -1.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]
+
+
+@pytest.mark.usefixtures("laboratory")
+def test_the_card_of_the_docs_ramps_its_outputs_to_zero_after_an_error_at_full_force(card: Device):
+    card.open()
+    with pytest.raises(DeviceError):
+        card.exchange([20000.0], -1.0)
+    begin = time.monotonic()
+    card.make_safe()
+    assert time.monotonic() - begin >= 0.45
+    volts = np.array(Task.written)[1:]
+    assert volts[0].tolist() == [8.0, -1.0]
+    assert (np.diff(np.abs(volts), axis=0) <= 0).all()
+    assert np.abs(np.diff(volts, axis=0)).max() < 0.05, "no step"
+    assert volts[-1].tolist() == [0.0, 0.0]
 
 
 def test_the_card_of_the_docs_has_the_lines_that_the_page_says():

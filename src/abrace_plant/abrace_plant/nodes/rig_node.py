@@ -84,6 +84,7 @@ class RigNode(AbraceLifecycleNode):
     device: Device
     loop: RigLoop | None = None
     run: RealTimeRun | None = None
+    """Run by the clock; None: its thread has made the device safe and closed it, or there was none."""
     lockstep = False
 
     def __init__(self, name: str, table: Sequence[Parameter]) -> None:
@@ -115,6 +116,7 @@ class RigNode(AbraceLifecycleNode):
 
     def configure(self) -> None:
         """Load the rig and create the topics."""
+        self.refuse_during_run()
         self.rig = self.load()
         self.safety.configure(rig_outputs(self.rig), 1 / self.rig.sample_rate)
         self.response = self.publish_on(Response, "response", LOCKSTEP_STREAM_QOS if self.lockstep else KEPT_STREAM_QOS)
@@ -132,6 +134,7 @@ class RigNode(AbraceLifecycleNode):
 
     def activate(self) -> None:
         """Begin a run at sample 0, from rest."""
+        self.refuse_during_run()
         given, rig = self.parameters, self.rig
         self.device = self.make_device()
         self.safety.activate()
@@ -156,6 +159,11 @@ class RigNode(AbraceLifecycleNode):
             )
             self.run.start()
 
+    def refuse_during_run(self) -> None:
+        """Raise an AbraceError while the former run still uses its device and the safety."""
+        if self.run is not None:
+            raise AbraceError("the device of the former run has not answered yet, expected that run to be over")
+
     def prepare(self) -> None:
         """Called in the thread of a run by the clock before its first sample."""
         real_time.above_the_loops(self.parameters)
@@ -172,8 +180,10 @@ class RigNode(AbraceLifecycleNode):
 
     @property
     def at_rest(self) -> bool:
-        """Whether the run is over."""
-        return self.loop is None or self.loop.ended
+        """Whether the run is over; one by the clock is when its device has been made safe and closed."""
+        if self.lockstep:
+            return self.loop is None or self.loop.ended
+        return self.run is None
 
     def deactivate(self) -> None:
         """The run is over."""
@@ -187,7 +197,7 @@ class RigNode(AbraceLifecycleNode):
         self.safety.clean_up()
 
     def run_over(self) -> None:
-        """A run by the clock has ended; called in its thread."""
+        """A run by the clock has ended, and its device is closed; called in its thread."""
         run, loop = self.run, self.loop
         assert run is not None
         assert loop is not None
@@ -195,6 +205,8 @@ class RigNode(AbraceLifecycleNode):
             self.later(lambda: self.finish(1, f"{type(run.error).__name__}: {run.error}"))
         elif self.done:
             self.later(lambda: self.finish_run(f"{loop.sequence + 1} samples, {loop.missed_deadlines} late answers"))
+        with self.lock:
+            self.run = None
         self.tell_rest()
 
     def finish_run(self, counts: str) -> None:
@@ -206,6 +218,8 @@ class RigNode(AbraceLifecycleNode):
 
     def publish_sample(self, sample: Sample) -> None:
         """Publish a sample, report a fault that is new, and end the run after its last one."""
+        if not self.configured:
+            return  # the device has answered after the clean-up, which has destroyed the topics
         rig, reading = self.rig, sample.reading
         floors, groups = rig.floors, rig.groups
         self.send(
