@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs/errors.md"
-CLASSES = ("AbraceError", "DeviceError", "RunFailed", "NodeDied", "Refused")
+CLASSES = ("AbraceError", "DeviceError", "RefusalError", "RunFailed", "NodeDied", "Refused")
 """Exceptions whose message a person reads."""
 FAULT_MODULES = ("safety/*.py", "live/loop.py", "rig/interlocks.py", "devices/udp.py")
 """Modules that give a fault's cause as a text instead of raising it."""

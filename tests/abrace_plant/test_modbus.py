@@ -10,6 +10,7 @@ import time
 import numpy as np
 import pytest
 from pymodbus.exceptions import ConnectionException
+from pymodbus.pdu import ExceptionResponse
 from udp_target import CHANNELS, CONFIG, RIG
 
 from abrace_core.errors import AbraceError
@@ -107,9 +108,7 @@ def test_make_safe_brings_the_outputs_to_zero_without_a_step(t7):
     step = running.emulator.target.worst_step
     device.make_safe()
     time.sleep(0.05)
-    assert struct.unpack(">f", struct.pack(">2H", *running.emulator.port._registers[1000:1002])) == pytest.approx(
-        (2.5,)
-    )
+    assert output(running) == pytest.approx(2.5)
     assert running.emulator.target.worst_step < max(3 * step, 2000.0)
     assert not running.emulator.target._acting[0]
 
@@ -130,20 +129,139 @@ def test_after_requests_without_an_answer_the_outputs_go_to_zero_from_where_they
             with pytest.raises(DeviceError, match=r"write registers 1000 to 1003: no answer within 500 ms"):
                 device.exchange([force], 0.0)
     if not kept:
-        running.emulator.port._registers[1000:1002] = struct.unpack(">2H", struct.pack(">f", 2.5))
-    written, write = [2.5 + 1.0 * kept], device._write
-
-    def noted(block, values):
-        written.extend(values[:1] if block.first == 1000 else [])
-        write(block, values)
-
-    monkeypatch.setattr(device, "_write", noted)
+        put_output(running, 2.5)
+    written = noted_writes(device, monkeypatch)
+    written.append(2.5 + 1.0 * kept)
     device.exchange([9000.0], 0.0)
     assert written[-1] == pytest.approx(2.5), "zero, and nothing that was asked for meanwhile"
     assert np.abs(np.diff(written)).max() < 0.035, "half a cosine in 50 samples"
     device.exchange([0.0], 0.0)
     assert device.exchange([100.0], 0.0).missed == 0
     assert written[-1] == pytest.approx(2.51)
+
+
+def noted_writes(device, monkeypatch):
+    """The voltages of the force that are written from now on."""
+    written, write = [], device._write
+
+    def noted(block, values):
+        written.extend(values[:1] if block.first == 1000 else [])
+        write(block, values)
+
+    monkeypatch.setattr(device, "_write", noted)
+    return written
+
+
+def lose_an_answer(device, monkeypatch, request, times=1):
+    """The next `times` requests of this kind find no connection; others are answered."""
+    answered, lost = getattr(device._client, request), []
+
+    def maybe(*arguments, **options):
+        if len(lost) < times:
+            lost.append(arguments)
+            raise ConnectionException("no answer")
+        return answered(*arguments, **options)
+
+    monkeypatch.setattr(device._client, request, maybe)
+
+
+def output(running):
+    """The voltage of the force."""
+    return struct.unpack(">f", struct.pack(">2H", *running.emulator.port._registers[1000:1002]))[0]
+
+
+def put_output(running, volts):
+    """The device itself has changed the voltage of the force."""
+    running.emulator.port._registers[1000:1002] = struct.unpack(">2H", struct.pack(">f", volts))
+
+
+def with_unknown_outputs(device, running, monkeypatch):
+    """10 kN are commanded, then a write is not answered, and the device brings its output to 0 V."""
+    for force in (0.0, 0.0, *np.linspace(0, 10e3, 50)):
+        device.exchange([force], 0.0)
+    reaches(lambda: output(running), pytest.approx(3.5))
+    lose_an_answer(device, monkeypatch, "write_registers")
+    with pytest.raises(DeviceError, match="no answer"):
+        device.exchange([9900.0], 0.0)
+    put_output(running, 0.0)
+
+
+def assert_ramp_from_0_volts(written):
+    assert written[-1] == pytest.approx(2.5), "zero force"
+    assert np.abs(np.diff([0.0, *written])).max() < 0.085, "half a cosine in 50 samples from 0 V, where the output was"
+
+
+def test_no_output_is_written_while_the_read_back_is_not_answered(t7, monkeypatch):
+    device, running = t7
+    with_unknown_outputs(device, running, monkeypatch)
+    written = noted_writes(device, monkeypatch)
+    lose_an_answer(device, monkeypatch, "read_holding_registers")
+    with pytest.raises(DeviceError, match=r"read registers 1000 to 1003: no answer within 500 ms"):
+        device.exchange([9800.0], 0.0)
+    assert written == [], "the outputs are not known"
+    device.exchange([9700.0], 0.0)
+    assert_ramp_from_0_volts(written)
+
+
+@pytest.mark.parametrize("code", [5, 6, 10, 11])
+def test_a_device_that_is_busy_or_not_reached_by_its_gateway_is_read_again_before_outputs_are_written(
+    t7, monkeypatch, code
+):
+    device, running = t7
+    with_unknown_outputs(device, running, monkeypatch)
+    written = noted_writes(device, monkeypatch)
+    with monkeypatch.context() as busy:
+        busy.setattr(device._client, "read_holding_registers", lambda *_, **__: ExceptionResponse(3, code))
+        with pytest.raises(DeviceError, match=r"read registers 1000 to 1003: not possible now"):
+            device.exchange([9800.0], 0.0)
+    assert written == [], "the outputs are not known"
+    device.exchange([9700.0], 0.0)
+    assert_ramp_from_0_volts(written)
+
+
+def test_make_safe_begins_where_the_outputs_are_after_a_request_without_an_answer(t7, monkeypatch):
+    device, running = t7
+    with_unknown_outputs(device, running, monkeypatch)
+    written = noted_writes(device, monkeypatch)
+    device.make_safe()
+    assert_ramp_from_0_volts(written)
+
+
+def test_make_safe_writes_no_output_while_the_read_back_is_not_answered(t7, monkeypatch):
+    device, running = t7
+    with_unknown_outputs(device, running, monkeypatch)
+    written = noted_writes(device, monkeypatch)
+    lose_an_answer(device, monkeypatch, "read_holding_registers")
+    device.make_safe()
+    assert written == [], "the outputs are not known"
+
+
+def test_outputs_that_a_device_does_not_allow_to_be_read_go_to_zero_from_the_last_command(t7, monkeypatch):
+    device, running = t7
+    with_unknown_outputs(device, running, monkeypatch)
+    written, read = noted_writes(device, monkeypatch), device._client.read_holding_registers
+
+    def inputs_only(first, **options):
+        return ExceptionResponse(3, 2) if first == 1000 else read(first, **options)
+
+    monkeypatch.setattr(device._client, "read_holding_registers", inputs_only)
+    device.exchange([9800.0], 0.0)
+    assert written[-1] == pytest.approx(2.5)
+    assert np.abs(np.diff([3.5, *written])).max() < 0.035, "half a cosine in 50 samples from 10 kN"
+
+
+def test_a_write_without_an_answer_is_not_sent_later(tmp_path):
+    """The connection is reset, with what was queued in it, and the next request has a new one."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        device = load_device(device_file(tmp_path, port=server.getsockname()[1], timeout=0.05), SLOW)
+        with pytest.raises(DeviceError, match="write registers 43900"):  # nobody answers
+            device.open()
+        server.settimeout(5.0)
+        with server.accept()[0] as connection:
+            connection.settimeout(5.0)
+            assert len(connection.recv(1000)) < 1000, "the one request that arrived at once"
+            with pytest.raises(ConnectionResetError):
+                connection.recv(1000)
 
 
 def test_a_device_that_stops_answering_is_an_error(t7):

@@ -4,7 +4,8 @@
 A device that only answers has no tick of its own, and keeps its outputs when nothing is written any more. So
 `make_safe` brings them to zero itself; in case this computer fails, the device has to watch the life counter. When it
 is opened, and after a request without an answer, its outputs are read, because it may have kept or changed them, and
-are brought to zero from there.
+are brought to zero from there; until it has answered that, no output is written. A request without an answer ends the
+connection, so that the kernel does not send it again later.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+import socket
+import struct
 import time
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -47,9 +50,17 @@ RAMP_TIME = 0.5
 """Seconds in which the outputs are brought to zero."""
 OPEN_TIME = 2.0
 """Seconds that `open` waits for a connection."""
+NOT_NOW = (5, 6, 10, 11)
+"""Modbus exception codes of a device that is busy, and of a gateway that does not reach it."""
+RESET = struct.pack("ii", 1, 0)
+"""SO_LINGER: a socket that is closed drops what has not been received."""
 
 # errors are raised; pymodbus would also print them
 logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
+
+
+class RefusalError(DeviceError):
+    """The device answers that it does not allow a request."""
 
 
 class ModbusFile(DeviceFile):
@@ -206,9 +217,12 @@ class ModbusDevice:
         return Reading(values, stamp, clipped, missed, time.monotonic() - self._tick)
 
     def make_safe(self) -> None:
-        """Bring the outputs to zero within `RAMP_TIME`, unless the device does not take them."""
+        """Bring the outputs to zero within `RAMP_TIME`, unless the device does not answer or does not take them."""
         with contextlib.suppress(AbraceError):
-            self._ramp_to_zero()
+            if self._outputs_known:
+                self._ramp_to_zero()
+            else:
+                self._bring_to_rest()
 
     def close(self) -> None:
         """Disconnect."""
@@ -217,9 +231,15 @@ class ModbusDevice:
             self._client = None
 
     def _bring_to_rest(self) -> None:
-        """Bring the outputs to zero from where the device has them now, or from the last ones if it does not say."""
+        """Bring the outputs to zero from where the device has them now, or from the last ones if they cannot be read.
+
+        Raises
+        ------
+        DeviceError
+            If there is no answer; no output has been written if it is missing when they are read.
+        """
         raw = np.array(self.calibration.outputs(self._last))
-        with contextlib.suppress(DeviceError):
+        with contextlib.suppress(RefusalError):
             for block in self._outputs:
                 raw[block.positions] = block.decode(self._asked("read", block, count=block.words).registers)
         if np.isfinite(raw).all():
@@ -263,7 +283,7 @@ class ModbusDevice:
         self._asked("write", block, values=block.encode(values))
 
     def _asked(self, what: Literal["read", "write"], block: Block, **content: Any) -> Any:
-        """The answer to a request; DeviceError if there is none, or a refusal."""
+        """The answer to a request; DeviceError if there is none now, RefusalError if the device does not allow it."""
         where = f"{what} registers {block.first} to {block.first + block.words - 1}"
         if self._client is None:
             raise DeviceError(f"{self._name}: {where}: not connected")
@@ -272,10 +292,20 @@ class ModbusDevice:
             answer = request(block.first, device_id=self._file.unit, **content)
         except (ModbusException, OSError) as error:
             self._outputs_known = False
+            self._drop_connection()
             reason = " ".join(str(error).split()).removeprefix("Modbus Error: ")
             raise DeviceError(
                 f"{self._name}: {where}: no answer within {1e3 * self._file.timeout:g} ms ({reason})"
             ) from error
+        if answer.isError() and answer.exception_code in NOT_NOW:
+            self._outputs_known = False
+            raise DeviceError(f"{self._name}: {where}: not possible now ({answer})")
         if answer.isError():
-            raise DeviceError(f"{self._name}: {where}: refused ({answer})")
+            raise RefusalError(f"{self._name}: {where}: refused ({answer})")
         return answer
+
+    def _drop_connection(self) -> None:
+        """Disconnect without sending what is still queued; pymodbus connects again at the next request."""
+        if self._client.socket is not None:
+            self._client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        self._client.close()
