@@ -80,7 +80,7 @@ class BraceCommander(Commander):
         if lost == RESTART:
             self.size = size
             self.restart(head.sequence, *size)
-        elif lost != HOLD and size != self.size:
+        elif self.size[0] and size != self.size:
             now, before = (f"{floors} floors and {groups} brace groups" for floors, groups in (size, self.size))
             safety.fault(f"sample {head.sequence} has {now}, expected {before} as before in this run")
         if safety.acting and lost != HOLD:
