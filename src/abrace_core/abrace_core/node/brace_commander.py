@@ -35,7 +35,7 @@ class BraceCommander(Commander):
 
     guard: CommandGuard
     size = 0, 0
-    """Floors and brace groups of the rig, in its present run."""
+    """Floors and brace groups of the rig at the last restart."""
 
     def __init__(self, name: str, table: Sequence[Parameter]) -> None:
         super().__init__(name, [*table, RATE_LIMIT])
@@ -80,9 +80,8 @@ class BraceCommander(Commander):
         if lost == RESTART:
             self.size = size
             self.restart(head.sequence, *size)
-        elif self.size[0] and size != self.size:
-            now, before = (f"{floors} floors and {groups} brace groups" for floors, groups in (size, self.size))
-            safety.fault(f"sample {head.sequence} has {now}, expected {before} as before in this run")
+        elif lost != HOLD and size != self.size:
+            safety.fault(f"sample {head.sequence}: floors and brace groups {size}, expected {self.size} as before")
         if safety.acting and lost != HOLD:
             wanted = self.force(head.sequence, z, max(lost, 0)).tolist()
         safety.act([wanted])
