@@ -3,7 +3,9 @@
 
 topics, services, messages  how many were tried, and the messages of all
 not_finite                  samples at which what acted was not finite
-greatest_force, worst_step  of what acted [N]; the capacity and the rate limit allow 24516.625 and 10000
+greatest_force, worst_step  of what acted [N], the latter in a sample period; capacity and rate limit allow 24516.625
+                            and 10000
+worst_between               the two samples between which it changed most
 died                        nodes; the measurement ends where one does
 
 python benchmarks/wrong_endurance.py [MESSAGES]    # on each topic and service
@@ -82,6 +84,7 @@ def wrong_endurance(graph: Graph, messages: int, requests: int, chance: random.R
         "not_finite": fuzz.not_finite,
         "greatest_force": fuzz.greatest,
         "worst_step": fuzz.worst_step,
+        "worst_between": fuzz.worst_between,
         "died": sum(process.returncode is not None for process in graph.started.values()),
     }
 

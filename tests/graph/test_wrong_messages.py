@@ -16,7 +16,7 @@ def test_nothing_wrong_reaches_the_device_and_no_node_dies(graph):
     assert found["services"] >= 30
     assert found["not_finite"] == 0
     assert found["greatest_force"] <= CAPACITY
-    assert found["worst_step"] <= RATE_STEP * (1 + 1e-12)
+    assert found["worst_step"] <= RATE_STEP * (1 + 1e-12), found["worst_between"]
     nothing = SetParameters.Request(parameters=[Parameter(name="seed", value=ParameterValue(type=200))])
     (refused,) = graph.call(SetParameters, "plant/set_parameters", nothing).results
     assert not refused.successful

@@ -124,7 +124,9 @@ class WrongMessages:
         self.last: Response | None = None
         self.samples = 0
         self.worst_step = self.greatest = 0.0
-        """The greatest change of the acting force between two samples, and the greatest force [N]."""
+        """The greatest change of the acting force in a sample period, and the greatest force [N]."""
+        self.worst_between = ""
+        """The two samples between which the change was greatest."""
         self.not_finite = 0
         graph.node.create_subscription(Response, "response", self._watch, 5000)
 
@@ -136,7 +138,14 @@ class WrongMessages:
         self.not_finite += not np.isfinite(now).all()
         self.greatest = max(self.greatest, float(np.abs(now).max()))
         if self.last is not None and self.last.run == response.run:
-            self.worst_step = max(self.worst_step, float(np.abs(now - self.last.command).max()))
+            # of samples that did not reach us, each may have changed it
+            periods = max(response.sequence - self.last.sequence, 1)
+            step = float(np.abs(now - self.last.command).max()) / periods
+            if step > self.worst_step:
+                self.worst_step = step
+                samples = f"{self.last.sequence} and {response.sequence}"
+                forces = f"{self.last.command.tolist()} and {now.tolist()} N"
+                self.worst_between = f"samples {samples}: {forces}"
         self.last = response
 
     def send(self, kind: type, topic: str, count: int, alternate: Callable[[], object]) -> None:
