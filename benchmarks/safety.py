@@ -3,9 +3,10 @@
 
 pairs, pairs_covered        states times events, and those of them that a real RigSafety takes where its table says
 cases                       by name: runs, and those that passed
-worst_step_over_rate_limit  of all of them: the greatest change of a command between two samples over what is allowed
-controller                  killed, stopped, flooding: runs, and those in which the force was zero within
-                            `command_timeout` (10 samples), ramp (250) and 5 samples more
+worst_step_over_rate_limit  of all of them: the greatest change of a command between two samples over what is allowed,
+                            also as it reaches the emulated actuators
+controller                  killed, stopped, flooding, behind `sensor_bridge` and emulator: runs, and those in which the
+                            force was zero within `command_timeout` (10 samples), ramp (250) and 5 samples more
 while_stalled               of each: runs that failed, and in which the machine itself stalled for 1 ms or more
                             (machine_stalls.py); they count as failed
 faults_before               of each: faults of the rig before the case did what it tries, cleared as a person would
@@ -100,7 +101,8 @@ class Tries:
             finally:
                 if bench is not None:
                     counts["faults_before"] += getattr(bench, "faults_before", 0)
-                    self.worst_step = max(self.worst_step, worst_step(bench.responses))
+                    at_device = getattr(bench, "worst_step_at_device", 0.0)
+                    self.worst_step = max(self.worst_step, worst_step(bench.responses), at_device)
                 took = time.monotonic() - began
                 print(
                     f"{name}: {counts['passed']} of {counts['runs']} passed ({took:.1f} s)", file=sys.stderr, flush=True
@@ -124,7 +126,8 @@ def safety(runs: int = RUNS, controller_runs: int = CONTROLLER_RUNS, only: tuple
                 rows.run(make, chosen(cases), runs)
             rows.run(partial(Rig, commander="excitation"), chosen(EXCITED), runs)
             rows.run(partial(Rig, commander="controller"), chosen(CONTROLLED), runs)
-            failing.run(partial(Rig, commander="controller"), chosen(FAILURES), controller_runs)
+            bridged = partial(Rig, commander="controller", name="sensor_bridge")
+            failing.run(bridged, chosen(FAILURES), controller_runs)
     finally:
         context.try_shutdown()
     return {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may act, tried on running nodes by the clock: who is deactivated, interrupted, stopped, killed or floods.
+"""What may act, tried on running nodes by the clock: who joins, is deactivated, interrupted, stopped, killed or floods.
 
 Each case is a function of a graph that fails with an AssertionError, as in `safety_cases`. The nodes that stream have a
 real-time priority where that is allowed.
@@ -17,10 +17,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from controller_speed import lqg3
 from diagnostic_msgs.msg import DiagnosticStatus
+from emulated_target import TICKING, EmulatedTarget
+from joins import visit
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from safety_cases import RAMP, RATE, worst_step
+from udp_target import device_file
 
 from abrace_core.controller_file import save_controller
 from abrace_interfaces.msg import BraceCommand, Response
@@ -37,6 +40,8 @@ MARGIN = 5
 REST_MARGIN = round(0.1 * RATE)
 """Samples beyond the ramp within which a rig that is deactivated or interrupted has taken its last one."""
 STALL = 3.0
+TARGET_PRIORITY = 70
+"""Of the emulator, above the nodes' 50."""
 TRIES = 3
 """Attempts to have the rig running before a case begins: a machine that is blocked for 20 ms also causes a fault."""
 FLOOD, FLOOD_RATE = 2000, 10_000
@@ -59,6 +64,8 @@ class Rig:
         Where its nodes are.
     commander
         `excitation`, or `controller` with a shaken table.
+    name
+        `plant`, or `sensor_bridge` with the emulator as its device.
 
     Attributes
     ----------
@@ -66,23 +73,46 @@ class Rig:
         Faults before the present case could begin; it began when they were cleared, as a person would.
     """
 
-    def __init__(self, graph: Graph, commander: str) -> None:
-        self.graph, self.commander = graph, commander
+    def __init__(self, graph: Graph, commander: str, name: str = "plant") -> None:
+        self.graph, self.commander, self.name = graph, commander, name
         self.faults_before = 0
+        self._worst_at_device = 0.0
         graph.by_the_clock = True
         self.responses: list[Response] = graph.listen(Response, "response")
         self.commands: list[BraceCommand] = graph.listen(BraceCommand, "brace_command")
-        graph.start("plant")
+        self.start_rig()
         if commander == "controller":
             save_controller(lqg3(), graph.folder / "lqg3.yaml")
             graph.start("ground_motion", autostart=False, **SHAKEN)
             assert graph.change_state("ground_motion", "configure")
         self.start_commander()
-        graph.until_matched("plant", brace_command=1)
+        graph.until_matched(name, brace_command=1)
         self.flood = graph.publisher(BraceCommand, "brace_command")
         if commander == "controller":
             graph.until_matched("ground_motion", response=1, ground_motion=1)
             assert graph.change_state("ground_motion", "activate")
+
+    def start_rig(self) -> None:
+        """Start the node that takes the samples, and its device."""
+        if self.name == "plant":
+            self.graph.start("plant")
+            return
+        self.device = device_file(self.graph.folder, timeout=0.02)
+        self.start_target()
+        self.graph.start("sensor_bridge", device=str(self.device))
+
+    def start_target(self) -> None:
+        """Start the emulator; a real target has a processor of its own, which its priority stands for."""
+        self.target = EmulatedTarget(self.device, priority=TARGET_PRIORITY)
+        process = self.graph.processes.start("emulator", self.target.command, self.graph.folder / "emulator.log")
+        self.graph.until(lambda: TICKING in process.last_lines(), "the emulator")
+
+    @property
+    def worst_step_at_device(self) -> float:
+        """Greatest change of a command from one tick of the target to the next over what the rate limit allows."""
+        if self.name == "sensor_bridge":
+            self._worst_at_device = max(self._worst_at_device, self.target.report()["worst_step_over_rate_limit"])
+        return self._worst_at_device
 
     def start_commander(self) -> None:
         """Start the node that commands."""
@@ -100,14 +130,12 @@ class Rig:
     def begin(self) -> None:
         """Let the rig run, and somebody command it; forget the samples before."""
         graph, self.faults_before = self.graph, 0
-        for name in (self.commander, "plant"):
-            if name not in graph.started:
-                if name == "plant":
-                    graph.start("plant")
-                else:
-                    self.start_commander()
-        if graph.state("plant") == "inactive":
-            assert graph.change_state("plant", "activate")
+        if self.commander not in graph.started:
+            self.start_commander()
+        if self.name not in graph.started:
+            self.start_rig()
+        if graph.state(self.name) == "inactive":
+            assert graph.change_state(self.name, "activate")
         count = len(self.responses)
         graph.until(lambda: len(self.responses) > count + 5, "samples")
         # a node that joins is late at first, and holds others up: nothing may act meanwhile
@@ -126,14 +154,22 @@ class Rig:
         at_its_end = "displacement of the table" in self.last.cause
         graph.until(self.cleared, "the rig to be cleared")
         if at_its_end:  # after many stops: a person moves the table to the middle, docs/interlocks.md
-            for transition in ("deactivate", "cleanup", "configure", "activate"):
-                assert graph.change_state("plant", transition), f"plant: {transition} refused; {graph.reported()}"
-        name, transitions = self.commander, ["deactivate", "activate"]
+            self.take(self.name, "deactivate", "cleanup")
+            if self.name == "sensor_bridge":
+                _ = self.worst_step_at_device
+                graph.processes.stop("emulator")
+                self.start_target()
+            self.take(self.name, "configure", "activate")
         if self.commander == "controller":
             # where the stop left the table there may be no room for the record: a person moves it to the middle
-            name, transitions = "ground_motion", ["deactivate", "cleanup", "configure", "activate"]
+            self.take("ground_motion", "deactivate", "cleanup", "configure", "activate")
+        else:
+            self.take(self.commander, "deactivate", "activate")
+
+    def take(self, name: str, *transitions: str) -> None:
+        """Take a node through transitions of its life cycle."""
         for transition in transitions:
-            assert graph.change_state(name, transition), f"{name}: {transition} refused; {graph.reported()}"
+            assert self.graph.change_state(name, transition), f"{name}: {transition} refused; {self.graph.reported()}"
 
     def keeps_up(self) -> bool:
         """Whether the commander has answered for a while, and does so in time."""
@@ -146,7 +182,7 @@ class Rig:
             status = self.graph.statuses.get(name)
             if status is not None and status.level == DiagnosticStatus.ERROR:
                 self.graph.clear_fault(name)
-        answer = self.graph.clear_fault("plant")
+        answer = self.graph.clear_fault(self.name)
         return bool(answer.success) or "no fault" in answer.message
 
     def late_answers(self, count: int) -> list[int]:
@@ -230,6 +266,28 @@ def commander_interrupted(rig: Rig) -> None:
     rig.graph.until(lambda: len(rig.responses) > count + RAMP, "samples")
     rig.expect_zero(rig.sample_at(moment), RAMP + REST_MARGIN)
     assert rig.last.state == Response.RUNNING, rig.last.cause
+
+
+def commander_deactivated(rig: Rig) -> None:
+    """At 6 kN: its force goes to zero, then it is silent, and that is no fault."""
+    rig.until_driven(6e3)
+    moment = time.time_ns()
+    assert rig.graph.change_state(rig.commander, "deactivate")
+    count = len(rig.responses)
+    rig.graph.until(lambda: len(rig.responses) > count + RAMP, "samples")
+    rig.expect_zero(rig.sample_at(moment), RAMP + REST_MARGIN)
+    assert rig.last.state == Response.RUNNING, rig.last.cause
+    assert rig.last.sequence - rig.commands[-1].sequence > RAMP // 2, "it still commands"
+    assert rig.graph.change_state(rig.commander, "activate")
+
+
+def node_joins(rig: Rig) -> None:
+    """A node joins, receives every stream and leaves, at the default time-outs: the force goes on."""
+    rig.until_driven(2e3)
+    del rig.responses[:-1]
+    visit(rig.graph)
+    rig.until_driven(2e3)
+    assert {one.state for one in rig.responses} == {Response.RUNNING}, rig.graph.reported()
 
 
 def rig_stalled(rig: Rig) -> None:
@@ -328,6 +386,8 @@ EXCITED: dict[str, Callable[[Rig], None]] = {
     "rig_deactivated": rig_deactivated,
     "rig_interrupted": rig_interrupted,
     "commander_interrupted": commander_interrupted,
+    "commander_deactivated": commander_deactivated,
+    "node_joins": node_joins,
     "rig_stalled": rig_stalled,
 }
 CONTROLLED: dict[str, Callable[[Rig], None]] = {"nothing_but_the_loop_in_its_thread": loop_undisturbed}

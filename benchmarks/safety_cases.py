@@ -8,9 +8,10 @@ which the case plays the rig. For `make verify`, with those of `safety_by_the_cl
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from controller_speed import SOURCE
 from geometry_msgs.msg import AccelStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from running_graph import LATCHED, Commander
@@ -20,6 +21,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.safety.rig_safety import RAMP_TIME, TRANSITIONS, Event, RigSafety, State
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_plant.live.loop import rig_outputs
+from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -33,6 +35,9 @@ PUSH = 20e3
 """Force of the braces before something goes wrong [N]."""
 RATE, RATE_LIMIT = 500.0, 5e6
 RAMP = round(RAMP_TIME * RATE)
+HEARTBEAT = 1.0
+"""Time within which the repeating stop button has to be heard [s]."""
+TABLE = load_rig(SOURCE / "abrace_plant/config/ncree_three_storey.yaml").table
 TABLE_NOISE = 8.4e-4
 """Of the table's accelerometer [m/s^2]."""
 QOS = {
@@ -137,6 +142,16 @@ class Hands(Commander):
             self.until(lambda: self.last.state == Response.RUNNING, 0.0)
         del self.responses[:-1]
 
+    def begin_new_run(self) -> None:
+        """Let building and table be at rest and in the middle, in a new run."""
+        graph, run = self.graph, self.last.run
+        assert graph.change_state("plant", "deactivate")
+        if self.last.cause:
+            assert graph.clear_fault("plant").success
+        for transition in ("cleanup", "configure", "activate"):
+            assert graph.change_state("plant", transition), f"{transition} was refused"
+        graph.until(lambda: self.last.run != run, "a new run")
+
     def push(self) -> int:
         """Push and shake; returns the number of samples so far."""
         self.shaking = 0
@@ -177,6 +192,21 @@ class Hands(Commander):
         faded = self.commands[-RAMP - 5 :]
         assert faded[-1] == PUSH, "the force is in"
         assert np.abs(np.diff(faded)).max() < 1.01 * PUSH * math.pi / 2 / RAMP, "it fades in"
+
+
+class RepeatingButton(Hands):
+    """The same with a stop button that repeats its message, as long as `repeats` says so."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.repeats = True
+        button = graph.publisher(Bool, "emergency_stop")
+
+        def repeat() -> None:
+            if self.repeats:
+                button.publish(Bool(data=False))
+
+        graph.node.create_timer(HEARTBEAT / 10, repeat)
+        super().__init__(graph)
 
 
 def stop_of(kind: str) -> Callable[[Hands], None]:
@@ -297,13 +327,44 @@ def sensor_at_its_end(hands: Hands) -> None:
     assert "interlocks.clipped" in hands.last.cause, hands.last.cause
     hands.hold(0.0, RAMP + 50)
     assert hands.last.state == Response.LATCHED
-    # building and table at rest again, in a new run
-    graph, run = hands.graph, hands.last.run
-    assert graph.change_state("plant", "deactivate")
-    assert graph.clear_fault("plant").success
-    for transition in ("cleanup", "configure", "activate"):
-        assert graph.change_state("plant", transition), f"{transition} was refused"
-    graph.until(lambda: hands.last.run != run, "a new run")
+    hands.begin_new_run()
+
+
+def motion_cut(hands: Hands) -> None:
+    """A motion beyond the table's limits, that nobody refused: cut, and every such sample says so."""
+    hands.begin_new_run()
+    hands.hold(0.0, 2)
+    graph, peak = hands.graph, TABLE.peak_acceleration
+    graph.until_well("plant")
+    before, first = int(graph.values("plant")["table_limits"]), len(hands.responses)
+    for k in range(80):
+        # to and fro: the table is slow and near the middle afterwards
+        hands.send_table(3 * peak * (1 if k // 20 in (0, 3) else -1))
+        Commander.send(hands, [0.0])
+        graph.until(hands._more(), "the next sample")
+    hands.send_table(0.0)
+    hands.hold(0.0, 100)
+    flagged = [bool(one.flags & Response.TABLE_LIMITED) for one in hands.responses[first:]]
+    assert all(flagged[:80]), f"{sum(flagged[:80])} of 80 samples say so"
+    graph.until_well("plant")
+    assert int(graph.values("plant")["table_limits"]) - before == sum(flagged), "not counted"
+    ground = np.array([one.ground_acceleration for one in hands.responses[first:]])
+    assert 0.9 * peak < np.abs(ground).max() < peak + 7 * TABLE_NOISE, f"{np.abs(ground).max():.3g} m/s^2"
+    most = TABLE.peak_jerk / RATE + 14 * TABLE_NOISE
+    assert np.abs(np.diff(ground)).max() < most, "a step beyond the table's jerk"
+    assert hands.last.state == Response.RUNNING, hands.last.cause
+
+
+def heartbeat_silent(hands: RepeatingButton) -> None:
+    """A stop button that has to repeat falls silent: a stop, until it is heard again and a person clears it."""
+    hands.push()
+    hands.repeats = False
+    hands.until(lambda: bool(hands.last.command[0] < PUSH), samples=20_000)
+    hands.expect_rest(len(hands.responses) - 1, Response.PROTECTIVE_STOP, "protective stop: no heartbeat of")
+    assert not hands.graph.clear_fault("plant").success, "cleared without a heartbeat"
+    hands.repeats = True
+    hands.until(lambda: hands.last.state == Response.LATCHED)
+    hands.expect_clearing()
 
 
 LOCKSTEP: dict[str, Callable[[Hands], None]] = {
@@ -321,7 +382,19 @@ LOCKSTEP: dict[str, Callable[[Hands], None]] = {
 }
 
 
+def start_plant_in_hand(graph: Graph, **parameters: Any) -> None:
+    """Start a plant in lockstep whose braces and table are ours, with further `parameters`."""
+    inputs = ["brace_command", "ground_motion"]
+    graph.start("plant", lockstep=True, lockstep_timeout=60.0, wait_for=inputs, **parameters)
+
+
 def plant_in_hand(graph: Graph) -> Hands:
     """A plant in lockstep whose braces and table are ours."""
-    graph.start("plant", lockstep=True, lockstep_timeout=60.0, wait_for=["brace_command", "ground_motion"])
+    start_plant_in_hand(graph)
     return Hands(graph)
+
+
+def repeating_button(graph: Graph) -> RepeatingButton:
+    """The same with a stop button that has to repeat its message."""
+    start_plant_in_hand(graph, stop_heartbeat=HEARTBEAT)
+    return RepeatingButton(graph)

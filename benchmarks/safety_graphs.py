@@ -16,7 +16,15 @@ import numpy as np
 from controller_speed import SOURCE, lqg3
 from geometry_msgs.msg import AccelStamped
 from rclpy.action import ActionClient
-from safety_cases import RATE, worst_step
+from safety_cases import (
+    RATE,
+    Hands,
+    heartbeat_silent,
+    motion_cut,
+    repeating_button,
+    start_plant_in_hand,
+    worst_step,
+)
 from std_msgs.msg import Bool
 
 from abrace_core.controller_file import save_controller
@@ -49,6 +57,12 @@ def wide_rig(folder: Path) -> Path:
     return file
 
 
+def wide_in_hand(graph: Graph) -> Hands:
+    """A rig whose sensors reach far, in lockstep, with its braces and its table in our hands."""
+    start_plant_in_hand(graph, rig=str(wide_rig(graph.folder)))
+    return Hands(graph)
+
+
 class StrongMotion:
     """El Centro at 0.8 g on a rig in lockstep whose braces are at rest, and a stop button."""
 
@@ -65,14 +79,18 @@ class StrongMotion:
             graph.until_matched(name, response=1, ground_motion=1)
             assert graph.change_state(name, "activate")
 
+    played = False
+    """Whether a motion has been played."""
+
     def begin(self) -> None:
         """Play from the beginning, in a new run."""
-        graph = self.graph
-        if self.responses and self.responses[-1].state == Response.LATCHED:
+        graph, again, self.played = self.graph, self.played, True
+        if again:
             run = self.responses[-1].run
             for name in ("plant", "ground_motion"):
                 assert graph.change_state(name, "deactivate")
-            graph.until(lambda: graph.clear_fault("plant").success, "the rig to be cleared")
+            if self.responses[-1].cause:
+                graph.until(lambda: graph.clear_fault("plant").success, "the rig to be cleared")
             self.responses.clear()
             # where the stop left the table there may be no room for the record: a person moves it to the middle
             for change in ("cleanup", "configure"):
@@ -83,12 +101,21 @@ class StrongMotion:
             graph.until(lambda: self.responses and self.responses[-1].run != run, "a new run")
             self.responses[:] = [one for one in self.responses if one.run != run]
 
-    def stop(self) -> None:
-        """Press at a random moment of the strong part: the table ends at rest, not with a velocity."""
+    def press(self) -> None:
+        """Press at a random moment of the strong part, until the table is at rest."""
         moment = 500 + self.moments.randrange(2000)
         self.graph.until(lambda: len(self.responses) > moment, "the strong part")
         self.button.publish(Bool(data=True))
         self.graph.until(lambda: self.responses[-1].state == Response.PROTECTIVE_STOP, "the table to be at rest")
+
+    def release(self) -> None:
+        """Release, so that a person can clear the stop."""
+        self.button.publish(Bool(data=False))
+        self.graph.until(lambda: self.responses[-1].state == Response.LATCHED, "the release")
+
+    def stop(self) -> None:
+        """The table ends at rest, not with a velocity."""
+        self.press()
         count = len(self.responses) + 20
         self.graph.until(lambda: len(self.responses) > count, "the table to stand still")
         sequences = [one.sequence for one in self.responses]
@@ -99,8 +126,28 @@ class StrongMotion:
         assert abs(velocity[moving]).max() > 10 * COASTING, "the table moved"
         assert abs(velocity[-1]) < COASTING, f"{velocity[-1]:.2g} m/s are left"
         assert abs(acceleration[-10:]).max() < 0.01, "the table is at rest"
-        self.button.publish(Bool(data=False))
-        self.graph.until(lambda: self.responses[-1].state == Response.LATCHED, "the release")
+        self.release()
+
+    def stay_at_rest(self) -> None:
+        """After release and clearing, and in the rig's next run, the record does not play again by itself."""
+        graph = self.graph
+        self.press()
+        self.release()
+        graph.until(lambda: graph.clear_fault("plant").success, "the rig to be cleared")
+        self.expect_still("after the release")
+        run = self.responses[-1].run
+        for transition in ("deactivate", "activate"):
+            assert graph.change_state("plant", transition), f"{transition} was refused"
+        graph.until(lambda: self.responses[-1].run != run, "a new run")
+        self.expect_still("in the next run")
+
+    def expect_still(self, when: str) -> None:
+        """The rig runs, and the table stays at rest, for longer than the record takes to begin."""
+        self.graph.until(lambda: self.responses[-1].state == Response.RUNNING, "the rig to run")
+        first = len(self.responses)
+        self.graph.until(lambda: len(self.responses) > first + 2 * RATE, f"samples {when}")
+        moved = max(abs(one.ground_acceleration) for one in self.responses[first:])
+        assert moved < 0.01, f"{moved:.2g} m/s^2 {when}"
 
 
 class WrongSign:
@@ -122,6 +169,7 @@ class WrongSign:
         for name in ("ground_motion", "plant"):
             assert graph.change_state(name, "activate")
 
+    played = False
     begin = StrongMotion.begin
 
     def trip(self) -> None:
@@ -233,7 +281,12 @@ class OldSamples:
 
 
 GRAPHS: dict[Callable[[Graph], Any], dict[str, Callable[[Any], None]]] = {
-    StrongMotion: {"stop_during_el_centro": StrongMotion.stop},
+    repeating_button: {"heartbeat_silent": heartbeat_silent},
+    wide_in_hand: {"motion_cut": motion_cut},
+    StrongMotion: {
+        "stop_during_el_centro": StrongMotion.stop,
+        "released_stop_at_ground_motion": StrongMotion.stay_at_rest,
+    },
     WrongSign: {"law_with_wrong_sign": WrongSign.trip},
     Table: {"motion_beyond_the_table": Table.refuse, "demo_noise_within_the_stroke": Table.noise},
     OldSamples: {"old_and_repeated_response": OldSamples.answer},

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
@@ -14,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import yaml
+from emulated_target import TICKING, EmulatedTarget
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
-from udp_target import CONFIG, device_file, free_ports
+from udp_target import CONFIG, device_file
 
 from abrace.processes.group import find_executable
 from abrace_interfaces.msg import BraceCommand, Response
@@ -31,27 +31,14 @@ if TYPE_CHECKING:
 DRIVEN = {"rms": 5000.0, "duration": 60.0}
 
 
-class Emulator:
-    """The hardware of a device file."""
+class Emulator(EmulatedTarget):
+    """The hardware of a device file, started."""
 
-    def __init__(self, device: Path, rig: Path = CONFIG / "ncree_three_storey.yaml") -> None:
-        (self._port,) = free_ports(1)
-        command = [find_executable("abrace_plant", "emulator"), "--rig", rig, "--device", device]
-        command += ["--control", str(self._port), "--priority", "50"]
-        self._process = subprocess.Popen([str(part) for part in command], stdout=subprocess.PIPE, text=True)
+    def __init__(self, *files: Path) -> None:
+        super().__init__(*files)
+        self._process = subprocess.Popen([str(part) for part in self.command], stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
-        assert self._process.stdout.readline() == "emulator: ticking\n"
-
-    def ask(self, text: str) -> str:
-        """Have a fault begin, or the report."""
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-            asking.settimeout(10)
-            asking.sendto(text.encode(), ("127.0.0.1", self._port))
-            return asking.recv(4096).decode()
-
-    def report(self) -> dict[str, Any]:
-        """Its counts."""
-        return json.loads(self.ask("report"))
+        assert self._process.stdout.readline() == f"{TICKING}\n"
 
     def close(self) -> None:
         """End it."""
