@@ -342,7 +342,6 @@ def motion_cut(hands: Hands) -> None:
         hands.send_table(3 * peak * (1 if k // 20 in (0, 3) else -1))
         Commander.send(hands, [0.0])
         graph.until(hands._more(), "the next sample")
-    hands.send_table(0.0)
     hands.hold(0.0, 100)
     flagged = [bool(one.flags & Response.TABLE_LIMITED) for one in hands.responses[first:]]
     assert all(flagged[:80]), f"{sum(flagged[:80])} of 80 samples say so"
