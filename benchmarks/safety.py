@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Safety, tried on running nodes over DDS: every row of docs/safety.md as a case, 20 runs each. For `make verify`.
+"""Safety, tried on running nodes over DDS: what may go wrong as cases, 20 runs each. For `make verify`.
 
 pairs, pairs_covered        states times events, and those of them that a real RigSafety takes where its table says
 cases                       by name: runs, and those that passed

@@ -165,6 +165,7 @@ class Rig:
             self.take("ground_motion", "deactivate", "cleanup", "configure", "activate")
         else:
             self.take(self.commander, "deactivate", "activate")
+        graph.until(lambda: self.last.state != Response.LATCHED, "the rig to act again")
 
     def take(self, name: str, *transitions: str) -> None:
         """Take a node through transitions of its life cycle."""
@@ -290,6 +291,30 @@ def node_joins(rig: Rig) -> None:
     assert {one.state for one in rig.responses} == {Response.RUNNING}, rig.graph.reported()
 
 
+def two_rigs(rig: Rig) -> None:
+    """A second rig in the namespace: the commander tells both of them, and the first goes on once it is alone."""
+    rig.until_driven(2e3)
+    graph, runs = rig.graph, {rig.last.run}
+    del rig.responses[:-1]
+    graph.by_the_clock = False  # what becomes of the second one is not timed
+    graph.start("plant", name="second")
+    graph.by_the_clock = True
+    graph.until(lambda: bool(rig.responses[-1].run not in runs), "the second rig")
+    graph.until_fault(rig.commander, "two rigs publish response, expected one")
+    graph.until(lambda: [one for one in rig.responses if one.run in runs][-1].state == Response.LATCHED, "rest")
+    assert graph.stop("second") == 0
+    del graph.started["second"]
+    graph.statuses.pop("second", None)
+    count = len(rig.responses)
+    graph.until(lambda: len(rig.responses) > count + 20, "the first rig alone")
+    rig.responses[:] = [one for one in rig.responses if one.run in runs]
+    first = next(one.sequence for one in rig.responses if one.state == Response.RAMPING_DOWN)
+    rig.expect_zero(first, RAMP + MARGIN)
+    assert "its sender reports: a run began during another one: two rigs" in rig.last.cause, rig.last.cause
+    rig.clear()
+    rig.until_driven(2e3)
+
+
 def rig_stalled(rig: Rig) -> None:
     """Delayed for 3 s: a fault of the rig and of the node that commands it; the missed samples have no message."""
     rig.until_driven(2e3)
@@ -388,6 +413,7 @@ EXCITED: dict[str, Callable[[Rig], None]] = {
     "commander_interrupted": commander_interrupted,
     "commander_deactivated": commander_deactivated,
     "node_joins": node_joins,
+    "two_rigs": two_rigs,
     "rig_stalled": rig_stalled,
 }
 CONTROLLED: dict[str, Callable[[Rig], None]] = {"nothing_but_the_loop_in_its_thread": loop_undisturbed}

@@ -314,6 +314,21 @@ def two_senders(hands: Hands) -> None:
     hands.expect_rest(first + 2, Response.LATCHED, "two messages on brace_command")
 
 
+def sender_reports_a_fault(hands: Hands) -> None:
+    """A sender that reports a fault of its own: the rig's as well, until that one is cleared."""
+    first = hands.push()
+    hands.send([PUSH], "planted")
+    hands.graph.until(lambda: len(hands.responses) > first, "the next sample")
+    hands.expect_rest(first + 1, Response.LATCHED, "its sender reports: planted")
+    more = hands._more()
+    hands.send([0.0], "planted")
+    hands.graph.until(more, "the next sample")
+    refused = hands.graph.clear_fault("plant")
+    assert not refused.success, "cleared though its sender reports a fault"
+    assert "its sender reports a fault: planted" in refused.message, refused.message
+    hands.expect_clearing()
+
+
 def sensor_at_its_end(hands: Hands) -> None:
     """The table accelerates beyond its accelerometer's range: every such sample says so, and it is an interlock."""
     hands.hold(0.0, 2)
@@ -377,6 +392,7 @@ LOCKSTEP: dict[str, Callable[[Hands], None]] = {
     "command_nan": wrong_command([math.nan], "expected finite numbers"),
     "command_of_wrong_length": wrong_command([PUSH, PUSH], "expected (1,)"),
     "two_senders": two_senders,
+    "sender_reports_a_fault": sender_reports_a_fault,
     "sensor_at_the_end_of_its_range": sensor_at_its_end,
 }
 

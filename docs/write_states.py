@@ -51,21 +51,26 @@ own.
 ## How it is tested
 
 `make verify` tries every event in every state on a real `RigSafety`, and 20 times each on running nodes the following
-cases (`python benchmarks/safety.py`, results in `safety` of `results/verify.json`): stop buttons of each
-QoS on both names, two of them, and one whose sender is gone; `clear_fault` while another node commands and during the
-ramp; a rig that is deactivated, interrupted or delayed for 3 s, and a controller that is interrupted; commands that
-are not finite, of wrong length or of two senders; old and repeated samples; a law with the wrong sign; a stop in El
-Centro; motions beyond the table's limits; a sensor at the end of its range; services of a controller in use. A
-controller is killed, stopped (SIGSTOP) and made to flood the rig, 100 times each: the force has to be zero within
-`command_timeout`, ramp and 5 samples, with no step beyond the rate limit. Measured in one run on two virtual
-processors: 98 of 98 pairs; each case 20 of 20; killed 100 of 100, stopped 100 of 100, flooding 98; no step beyond the
-rate limit. In one of "flooding" the benchmark had let the table wander to its end over many stops; the other one,
-force on 265 samples after the flood, is not explained for certain: the benchmark counted from the last sample that had
-reached it, not from the present one. With both mended flooding alone had 100 of 100. A rig's fault before the
-controller is killed, stopped or floods is cleared, and `faults_before` counts it (0 in that run). Runs that fail while
-the machine itself stalls for 1 ms or more (`benchmarks/machine_stalls.py`) count as failed, and `while_stalled` says
-how many. Where other programs keep all processors busy, cases by the clock fail now and then: samples or answers are
-late.
+cases (`python benchmarks/safety.py`, results in `safety` of `results/verify.json`): stop buttons of each QoS on both
+names, two of them, one whose sender is gone, and one whose heartbeat falls silent; `clear_fault` while another node
+commands and during the ramp; a rig that is deactivated, interrupted or delayed for 3 s, and a controller that is
+deactivated or interrupted; commands that are not finite, of wrong length, of two senders, or of one that reports a
+fault of its own; a second rig in the namespace; a node that joins; old and repeated samples; a law with the wrong
+sign; a stop in El Centro, and its release, after which the record does not play again; motions beyond the table's
+limits, refused or cut; a sensor at the end of its range; services of a controller in use. A controller is killed,
+stopped (SIGSTOP) and made to flood the rig, 100 times each, behind `sensor_bridge` and the emulator: the force has to
+be zero within `command_timeout`, ramp and 5 samples, with no step beyond the rate limit, in the samples and at the
+emulated actuators.
+
+Measured on two virtual processors before the cases of the heartbeat, of the release, of a cut motion, of the sender's
+own fault, of the second rig, of the node that joins and of the deactivated controller were added, and with the
+simulated rig in place of bridge and emulator: 98 of 98 pairs; each case 20 of 20; killed 100 of 100, stopped 100 of
+100, flooding 98, and 100 of 100 once the benchmark counted from the present sample and moved the table to the middle;
+no step beyond the rate limit. Each of the added cases has passed 3 to 6 runs; killed, stopped and flooding behind the
+bridge 5 of 5 each, on a busy machine. A rig's fault before the controller is killed, stopped or floods is cleared,
+and `faults_before` counts it. Runs that fail while the machine itself stalls for 1 ms or more
+(`benchmarks/machine_stalls.py`) count as failed, and `while_stalled` says how many. Where other programs keep all
+processors busy, cases by the clock fail now and then: samples or answers are late.
 
 `make soak` sends 10 000 messages of correct type and wrong content to every topic and service of `plant`,
 `ground_motion`, `excitation` and `controller` (`python benchmarks/wrong_endurance.py`), and runs 20 minutes of

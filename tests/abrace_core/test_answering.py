@@ -54,6 +54,13 @@ def test_a_rig_that_begins_while_another_one_runs_is_commanded_nothing(answering
     answering.safety.act([None])
     assert answering.safety.outputs[0].value == [0.0]
     assert answering.safety.cause == "a run began during another one: two rigs publish response, expected one"
+    for k in range(6, 10):
+        for run, first in ((1, 0), (2, 6)):
+            assert receive(answering, k - first, run=run, state=State.LATCHED) == HOLD, "both learn of it"
+    answering.safety.clear()
+    answering.begin_anew()
+    assert [receive(answering, k) for k in (10, 11)] == [RESTART, 0], "one that is left goes on"
+    assert not answering.safety.cause
 
 
 @pytest.mark.parametrize(("flags", "pause"), [(LAST, 0), (0, 60), (LOCKSTEP, 0)])

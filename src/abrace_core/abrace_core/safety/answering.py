@@ -105,7 +105,7 @@ class Answering:
         """
         # a rig in lockstep may end without a last sample
         goes_on = self.watch.run >= 0 and not self._flags & (LAST | head.flags & LOCKSTEP) and not self.silent(now)
-        lost = self.watch.update(head.run, head.sequence, stamp)
+        lost = self.watch.update(head.run, head.sequence, stamp, goes_on)
         if lost == OLD:
             return DROP
         if lost == NEW_RUN and goes_on:

@@ -52,7 +52,7 @@ class SampleWatch:
         self.missing = self.old = 0
         self.problem: str | None = None
 
-    def update(self, run: int, sequence: int, stamp: int) -> int:
+    def update(self, run: int, sequence: int, stamp: int, goes_on: bool = False) -> int:
         """Check the next sample.
 
         Parameters
@@ -63,6 +63,8 @@ class SampleWatch:
             Its number in this run.
         stamp
             Its sampling instant [ns].
+        goes_on
+            Whether the run of the sample before has not ended: one of another run does not make it an earlier one.
 
         Returns
         -------
@@ -73,7 +75,7 @@ class SampleWatch:
             if run in self._earlier:
                 self.old += 1
                 return OLD
-            if self.run >= 0:
+            if self.run >= 0 and not goes_on:
                 self._earlier.append(self.run)
             self.run, self.sequence, self.problem = run, sequence, None
             self._rate_from = self._fine_from = None
