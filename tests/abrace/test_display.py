@@ -74,3 +74,7 @@ def test_what_has_ended_stands_above_the_display_as_plain_lines(terminal):
     assert "[2/3] shaken: done in 1:23, 6.3 x real time" in written.getvalue()
     assert "[3/3] model: stopped after 0:00" in written.getvalue()
     assert drawn() == "day\n"
+
+
+def test_peaks_that_are_no_numbers_are_left_out():
+    assert peaks_of({"peak force": "12", "peak drift": "x" * 5000, "peak acceleration": ""}) == {"force": 12.0}

@@ -3,7 +3,7 @@
 
 from types import SimpleNamespace
 
-from abrace.report.node_table import NodeReport, NodeReports, node_table
+from abrace.report.node_table import MOST_NODES, NodeReport, NodeReports, node_table
 
 
 def report(before=None, heard=10.0, **values):
@@ -33,6 +33,19 @@ def test_states_of_nodes_are_found_among_all_diagnostics_and_those_of_other_make
     assert rows == {"/rig/plant": ("error", "so"), "/lidar": ("ok", "so")}
     assert reports["/rig/plant"].sequence == 7
     assert {row["level"] for row in reports.rows(13.0)} == {"stale"}
+
+
+def test_wrong_diagnostics_of_anyone_are_no_counts_and_fill_no_memory():
+    for text in ("9" * 5000, "\u00b2", "-1", "1e3", "nan", ""):
+        found = report(report(sequence=1, lost=1), heard=11.0, sequence=text, lost=text)
+        assert (found.sequence, found.rate, found.lost) == (-1, None, None), text
+    assert report(report(sequence=0), heard=11.0, sequence=2**64 - 1).rate == 2.0**64
+    reports = NodeReports()
+    for number in range(3 * MOST_NODES):
+        for name in (f"somebody_{number}: state", "rig/plant: state"):
+            reports.note(SimpleNamespace(name=name, level=b"\x00", message="so", values=[]), float(number))
+    assert len(reports) == MOST_NODES
+    assert "/rig/plant" in reports, "who reports is kept"
 
 
 def test_a_node_that_no_longer_reports_is_shown_as_stale():

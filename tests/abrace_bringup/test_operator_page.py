@@ -10,6 +10,7 @@ import math
 import shutil
 import subprocess
 import time
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -130,6 +131,22 @@ def test_reports_become_interlocks_latencies_losses_and_nodes():
         events.add(float(number), f"event {number}")
     assert [one["text"] for one in events.since(198)] == ["event 198", "event 199"]
     assert len(events.since(0)) == view.EVENTS
+
+
+def test_wrong_diagnostics_of_anyone_can_be_shown():
+    reports = NodeReports()
+    for text in ("9" * 5000, "9" * 5000 + " %", "\u00b2", "1e999 %", "<b>"):
+        keys = ("messages of response", "lost of response", "sequence", "interlock drift", "late", "answer_worst_us")
+        values = [SimpleNamespace(key=key, value=text) for key in keys]
+        for _ in range(2):
+            reports.note(SimpleNamespace(name="rig/x: state", level=b"\x01", message=text, values=values), 10.0)
+        shown = [
+            view.interlock_view(reports["/rig/x"]),
+            view.recording_view(reports, ["/rig/x"], 10.0),
+            view.latency_view(reports),
+            view.node_view(reports, {}, 10.0),
+        ]
+        assert len(json.dumps(shown, allow_nan=False)) < 10**6
 
 
 def test_actions_go_to_the_nodes_of_the_namespace_the_rig_last():

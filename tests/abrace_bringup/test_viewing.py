@@ -125,6 +125,20 @@ def test_of_a_rig_whose_size_changes_the_last_samples_are_read(tmp_path):
         reader.read([b"\x00\x01\x00\x00\x00\x00\x00\x00"])
 
 
+def test_a_sample_whose_arrays_do_not_belong_together_is_not_read():
+    arrays = {"displacement": [1.0] * 3, "acceleration": [1.0] * 3}
+    for braces, force, groups in (
+        ([2], [1.0], 1),
+        ([0], [], 1),
+        ([9, 0], [1.0] * 9, 2),
+        ([], [1.0], 0),
+        ([1], [1.0], 2),
+    ):
+        message = Response(braces=braces, force=force, stroke=[1.0] * groups, command=[1.0] * groups, **arrays)
+        with pytest.raises(AbraceError, match="expected floors, floors, groups"):
+            ResponseReader(RIG.capacity.tolist()).read([serialize_message(message)])
+
+
 def test_floors_are_drawn_as_many_times_further_out_as_is_asked_for():
     scene = Scene(RIG)
     sample = dict.fromkeys(names_of(3, [2]), 0.0) | {"x2": 0.0123, "fa": -12258.3, "fa_utilisation": 0.5}

@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 
 from abrace_core.errors import AbraceError
-from abrace_core.wire import BraceCommands, Head, Responses, pack_acceleration, read_header, unpack_acceleration
+from abrace_core.wire import (
+    LONGEST_TEXT,
+    BraceCommands,
+    Head,
+    Responses,
+    pack_acceleration,
+    read_header,
+    unpack_acceleration,
+)
 from abrace_interfaces.msg import BraceCommand, Response
 
 finite = st.floats(allow_nan=False, width=64)
@@ -18,7 +26,7 @@ forces = st.floats(-1e9, 1e9)
 stamps = st.integers(0, 2**31 * 10**9 - 1)
 sequences = st.integers(0, 2**64 - 1)
 frames = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=20)
-texts = st.text(st.characters(min_codepoint=32, max_codepoint=0x2FF), max_size=20)
+texts = st.text(st.characters(min_codepoint=32, max_codepoint=0x2FF).filter(str.isprintable), max_size=20)
 ARRAYS = ("braces", "displacement", "acceleration", "stroke", "force", "command")
 sizes = st.tuples(st.integers(1, 7), st.integers(1, 4))
 
@@ -135,6 +143,17 @@ def test_cut_commands_and_accelerations_are_refused():
     for length in range(len(acceleration)):
         with pytest.raises(AbraceError):
             unpack_acceleration(acceleration[:length])
+
+
+def test_of_a_sender_s_text_one_line_of_limited_length_is_kept():
+    given = "a\n\x1b[2J\u2028" + "\u00e4" * 10**6
+    _, _, _, fault = BraceCommands().unpack(serialize_message(BraceCommand(force=[1.0], fault=given)))
+    assert fault.startswith("a  [2J \u00e4\u00e4"), "no control characters for a terminal"
+    assert len(fault) < LONGEST_TEXT, "the rig passes it on in every sample"
+    message = Response(displacement=[1.0], acceleration=[1.0], cause=given)
+    responses = Responses()
+    responses.unpack(serialize_message(message))
+    assert responses.cause(serialize_message(message)) == fault
 
 
 def test_arrays_that_do_not_belong_together_are_refused():

@@ -24,6 +24,8 @@ LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _HEADER = struct.Struct("<4siII")
 SATURATED, RATE_LIMITED, TABLE_LIMITED, STOP_PRESSED, LATE, LOCKSTEP, LAST = (1 << bit for bit in range(7))
 """Flags of Response.msg."""
+LONGEST_TEXT = 1000
+"""Bytes of a received fault or cause that are kept."""
 _BODY = 4
 """Offset from which alignment counts."""
 
@@ -96,7 +98,7 @@ def _pack_text(text: str, position: int) -> bytes:
 
 
 def _unpack_text(payload: bytes, position: int, name: str) -> str:
-    """The string after `position`; raises an AbraceError if there is none."""
+    """The string after `position`, at most LONGEST_TEXT of it, in one line; raises an AbraceError if there is none."""
     begin = _aligned(position, 4) + 4
     length = int.from_bytes(payload[begin - 4 : begin], "little")
     if not length:
@@ -105,7 +107,9 @@ def _unpack_text(payload: bytes, position: int, name: str) -> str:
         return ""
     if length > len(payload) - begin:
         raise AbraceError(f"{name}: cut off")
-    return payload[begin : begin + length - 1].decode(errors="replace")
+    text = payload[begin : begin + min(length - 1, LONGEST_TEXT)].decode(errors="replace")
+    # the rig passes it on in every sample, and it is shown on terminals
+    return text if text.isprintable() else "".join(one if one.isprintable() else " " for one in text)
 
 
 class Head(NamedTuple):
@@ -213,7 +217,8 @@ class Responses:
         floors, accelerations, strokes, forces, commands = lengths
         if floors != accelerations or not groups == strokes == commands or forces != sum(braces) or 0 in braces:
             raise AbraceError(
-                f"Response: arrays of {lengths}, braces {list(braces)}, expected floors, floors, groups, braces, groups"
+                f"Response: arrays of {lengths}, {groups} groups of {sum(braces)} braces, expected floors, floors, "
+                "groups, braces, groups"
             )
         self.floors, self.groups = floors, groups
         ends = list(accumulate(braces))

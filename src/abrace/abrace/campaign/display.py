@@ -57,8 +57,13 @@ class Graph(NamedTuple):
 
 
 def peaks_of(values: Mapping[str, str]) -> dict[str, float]:
-    """The greatest values so far, by quantity, from the `values` of the rig's diagnostics."""
-    return {key.removeprefix("peak "): float(value) for key, value in values.items() if key.startswith("peak ")}
+    """The greatest values so far, by quantity, from the `values` of the rig's diagnostics; texts are left out."""
+    found = {}
+    for key, value in values.items():
+        if key.startswith("peak "):
+            with contextlib.suppress(ValueError):
+                found[key.removeprefix("peak ")] = float(value)
+    return found
 
 
 class Display:

@@ -22,6 +22,7 @@ from abrace.campaign.tasks import Ambient, Compare, Design, Identify, OwnControl
 from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
 from abrace.processes.group import NodeDied, ProcessGroup, find_executable
 from abrace.processes.parameter_file import parameter_file
+from abrace.report.node_table import count_of
 from abrace_core.controller_file import load_controller
 from abrace_core.errors import RunFailed
 from abrace_core.linear_model import save_model
@@ -201,8 +202,9 @@ class Runner:
             for node, fault in monitor.faults.items():
                 raise RunFailed(f"{node}: {fault}")
             now = time.monotonic()
-            recorded = int(monitor.values.get("logger", {}).get("messages of response", 0))
-            sequence = recorded - 1 if own_rig else int(monitor.values.get("plant", {}).get("sequence", -1))
+            recorded = count_of(monitor.values.get("logger", {}).get("messages of response", "")) or 0
+            sampled = count_of(monitor.values.get("plant", {}).get("sequence", ""))
+            sequence = recorded - 1 if own_rig else -1 if sampled is None else sampled
             if own_rig and recorded >= samples:
                 with unless_over("plant"):
                     monitor.deactivate("plant", PATIENCE, group.raise_if_died)

@@ -13,7 +13,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.signals import SignalHandlerOptions
 
-from abrace.report.node_table import NodeReport
+from abrace.report.node_table import NodeReport, count_of
 from abrace_core.errors import RunFailed
 from abrace_core.node import DIAGNOSTICS
 from abrace_core.node.leaving import destroy
@@ -189,7 +189,7 @@ class GraphMonitor:
             missing = []
             for node, entries in expected.items():
                 for entry, count in entries.items():
-                    found = int(self.values.get(node, {}).get(entry, "0"))
+                    found = count_of(self.values.get(node, {}).get(entry, "")) or 0
                     side, _, topic = entry.partition(" of ")
                     if side == "subscribers":
                         # a count does not tell whose: where a viewer has matched, a partner may be missing

@@ -18,6 +18,8 @@ from abrace_core.safety.rig_safety import RAMP_TIME
 
 STUCK = 30.0
 """Seconds without progress of a signal that end a test."""
+MOST_PROBLEMS = 100
+"""Different problems that are kept for the end."""
 
 PARAMETERS = [
     Parameter(
@@ -68,8 +70,8 @@ class Supervisor(AbraceNode):
             self.note(f"{node}: {fault}")
 
     def note(self, problem: str) -> None:
-        """Keep a problem for the end."""
-        if problem not in self.problems:
+        """Keep a problem for the end, one of the first MOST_PROBLEMS."""
+        if problem not in self.problems and len(self.problems) < MOST_PROBLEMS:
             self.problems.append(problem)
 
     @property

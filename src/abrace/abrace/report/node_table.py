@@ -15,6 +15,15 @@ OK = b"\x00"
 """`DiagnosticStatus.OK`."""
 LOSSES = ("lost", "missed")
 """Beginnings of the names of diagnostics entries that count losses."""
+MOST_NODES = 500
+"""Nodes that are kept: names in `/diagnostics` may be anything, and each new one would stay in memory."""
+LONGEST_COUNT = 20
+"""Digits of the greatest count that a node has, of 64 bits."""
+
+
+def count_of(text: str) -> int | None:
+    """The count that an entry of diagnostics gives; None: its `text` is none that a node could have."""
+    return int(text) if text.isdecimal() and len(text) <= LONGEST_COUNT else None
 
 
 @dataclass(frozen=True)
@@ -61,13 +70,14 @@ class NodeReport:
 
         `failed`: as in NodeReport.
         """
-        text = values.get("sequence", "")
-        sequence = int(text) if text.isdecimal() else -1
+        number = count_of(values.get("sequence", ""))
+        sequence = -1 if number is None else number
         rate = None
         if before is not None and sequence >= before.sequence >= 0:
             span = heard - before.heard
             rate = (sequence - before.sequence) / span if span > 0.2 else before.rate
-        counts = [int(value) for key, value in values.items() if key.partition(" ")[0] in LOSSES and value.isdigit()]
+        losses = [count_of(value) for key, value in values.items() if key.partition(" ")[0] in LOSSES]
+        counts = [one for one in losses if one is not None]
         lost = sum(counts) if counts else None
         count = 1 + (before.count if before else 0)
         return cls(message, failed, heard, rate, lost, sequence, values.get("stop", ""), count, values)
@@ -82,7 +92,7 @@ class NodeReport:
 
 
 class NodeReports(dict[str, NodeReport]):
-    """What each node has reported last, by its full name."""
+    """What each node has reported last, by its full name; of more than MOST_NODES those heard last."""
 
     def note(self, status: Any, now: float) -> None:
         """Note a status of `/diagnostics`, if it is the state of a node.
@@ -99,6 +109,8 @@ class NodeReports(dict[str, NodeReport]):
             values = {pair.key: pair.value for pair in status.values}
             full_name = f"/{name.lstrip('/')}"
             before = self.get(full_name)
+            if before is None and len(self) >= MOST_NODES:
+                del self[min(self, key=lambda known: self[known].heard)]
             self[full_name] = NodeReport.after(before, status.message, status.level != OK, values, now)
 
     def rows(self, now: float) -> list[dict[str, str | float | int | None]]:

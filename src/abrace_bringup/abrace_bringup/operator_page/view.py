@@ -8,6 +8,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from abrace.report.node_table import count_of
 from abrace_core import signals
 from abrace_core.safety.rig_safety import ACTING, State
 from abrace_core.wire import LATE, RATE_LIMITED, SATURATED, STOP_PRESSED, TABLE_LIMITED
@@ -26,7 +27,7 @@ GONE = 120.0
 EVENTS = 50
 """Number of kept entries of what was done."""
 LATENCIES = ("median", "99_percent", "worst")
-_SHARE = re.compile(r"(-?\d+(?:\.\d+)?) %")
+_SHARE = re.compile(r"(-?\d{1,9}(?:\.\d+)?) %")
 
 FLAGS = {
     SATURATED: "a command is cut to the capacity",
@@ -143,7 +144,7 @@ def recording_view(reports: Mapping[str, NodeReport], recorders: Sequence[str], 
         if report is None:
             continue
         counts = {
-            kind: sum(int(value) for key, value in report.values.items() if key.startswith(kind) and value.isdecimal())
+            kind: sum(count_of(value) or 0 for key, value in report.values.items() if key.startswith(kind))
             for kind in ("messages of ", "lost of ")
         }
         found.append(

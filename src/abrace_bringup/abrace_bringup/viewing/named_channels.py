@@ -10,6 +10,7 @@ import numpy as np
 from abrace_bags.cdr import decode
 from abrace_bags.definitions import message_definition, parse_message_type
 from abrace_bringup.viewing.decimation import greatest
+from abrace_core.errors import AbraceError
 from abrace_core.safety.rig_safety import State
 from abrace_core.signals import GROUND, command_names, load_cell_names, response_names, unit
 
@@ -103,13 +104,19 @@ class ResponseReader:
         Raises
         ------
         AbraceError
-            If one is no Response.
+            If one is no Response, or the lengths of the last one's arrays do not belong together.
         """
         fields = self._decode(payloads)
         if any(fields[name].dtype == object for name in (*_VECTORS, "braces")):
             fields = self._decode(payloads[-1:])
         braces = tuple(fields["braces"][-1].tolist())
         force, floors = fields["force"], fields["displacement"].shape[1]
+        lengths = [fields[name].shape[1] for name in _VECTORS]
+        if lengths != [floors, floors, len(braces), sum(braces), len(braces)] or 0 in braces:
+            raise AbraceError(
+                f"{', '.join(_VECTORS)} of {lengths} values, {len(braces)} groups of {sum(braces)} braces, expected "
+                "floors, floors, groups, braces, groups"
+            )
         starts = np.concatenate([[0], np.cumsum(braces)[:-1]]).astype(np.intp)
         mean = np.add.reduceat(force, starts, axis=1) / braces if braces else force
         z = [fields["displacement"], fields["stroke"], fields["acceleration"], mean]
