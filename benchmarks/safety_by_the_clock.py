@@ -71,12 +71,14 @@ class Rig:
     ----------
     faults_before
         Faults before the present case could begin; it began when they were cleared, as a person would.
+    worst_step_at_device
+        Greatest change of a command from one tick of the emulated target to the next over what the rate limit allows.
     """
 
     def __init__(self, graph: Graph, commander: str, name: str = "plant") -> None:
         self.graph, self.commander, self.name = graph, commander, name
         self.faults_before = 0
-        self._worst_at_device = 0.0
+        self.worst_step_at_device = 0.0
         graph.by_the_clock = True
         self.responses: list[Response] = graph.listen(Response, "response")
         self.commands: list[BraceCommand] = graph.listen(BraceCommand, "brace_command")
@@ -107,12 +109,11 @@ class Rig:
         process = self.graph.processes.start("emulator", self.target.command, self.graph.folder / "emulator.log")
         self.graph.until(lambda: TICKING in process.last_lines(), "the emulator")
 
-    @property
-    def worst_step_at_device(self) -> float:
-        """Greatest change of a command from one tick of the target to the next over what the rate limit allows."""
+    def note_device(self) -> None:
+        """Note the greatest change of a command from one tick of the target to the next, over what is allowed."""
         if self.name == "sensor_bridge":
-            self._worst_at_device = max(self._worst_at_device, self.target.report()["worst_step_over_rate_limit"])
-        return self._worst_at_device
+            step = self.target.report()["worst_step_over_rate_limit"]
+            self.worst_step_at_device = max(self.worst_step_at_device, step)
 
     def start_commander(self) -> None:
         """Start the node that commands."""
@@ -156,7 +157,7 @@ class Rig:
         if at_its_end:  # after many stops: a person moves the table to the middle, docs/interlocks.md
             self.take(self.name, "deactivate", "cleanup")
             if self.name == "sensor_bridge":
-                _ = self.worst_step_at_device
+                self.note_device()
                 graph.processes.stop("emulator")
                 self.start_target()
             self.take(self.name, "configure", "activate")
@@ -222,6 +223,8 @@ class Rig:
         self.graph.until(lambda: self.last.sequence >= deadline, "the force to be zero")
         late = [one for one in self.responses if one.sequence > since + within]
         assert not any(one.command[0] for one in late), f"force on {within} samples after sample {since}"
+        self.note_device()
+        assert self.worst_step_at_device <= 1.0, "a step beyond the rate limit at the device"
         assert worst_step(self.responses) <= 1.0, "a step beyond the rate limit"
 
 
