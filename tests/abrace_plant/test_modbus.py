@@ -16,6 +16,7 @@ from udp_target import CHANNELS, CONFIG, RIG
 from abrace_core.errors import AbraceError
 from abrace_plant.devices.device import DeviceError
 from abrace_plant.devices.file import load_device
+from abrace_plant.devices.modbus import RAMP_TIME, SAFE_TIME
 from abrace_plant.devices.registers import Block, Register
 from abrace_plant.emulator.emulator import Emulator
 
@@ -227,13 +228,88 @@ def test_make_safe_begins_where_the_outputs_are_after_a_request_without_an_answe
     assert_ramp_from_0_volts(written)
 
 
-def test_make_safe_writes_no_output_while_the_read_back_is_not_answered(t7, monkeypatch):
+def test_make_safe_tries_again_and_writes_no_output_before_the_read_back_is_answered(t7, monkeypatch):
     device, running = t7
     with_unknown_outputs(device, running, monkeypatch)
     written = noted_writes(device, monkeypatch)
-    lose_an_answer(device, monkeypatch, "read_holding_registers")
+    lose_an_answer(device, monkeypatch, "read_holding_registers", times=3)
     device.make_safe()
-    assert written == [], "the outputs are not known"
+    assert_ramp_from_0_volts(written)
+
+
+def test_make_safe_reaches_a_device_that_comes_back_meanwhile(t7, monkeypatch, tmp_path):
+    """Its server ends with 10 kN at the outputs, and another one with the same outputs begins at the same port."""
+    device, running = t7
+    for force in (0.0, 0.0, *np.linspace(0, 10e3, 50)):
+        device.exchange([force], 0.0)
+    running.stop()
+    calibration = CONFIG / "device_parts/labjack_t7_calibration.yaml"
+    begin, key, commands = calibration.read_text().partition("commands:")
+    (tmp_path / "calibration.yaml").write_text(begin + key + commands.replace("offset: 2.5", "offset: 3.5"))
+    path = tmp_path / "t7.yaml"
+    path.write_text(path.read_text().replace(str(calibration), "calibration.yaml"))
+    begun: list[Running] = []
+    again = threading.Timer(0.3, lambda: begun.append(Running(path)))
+    written = noted_writes(device, monkeypatch)
+    again.start()
+    try:
+        device.make_safe()
+        reaches(lambda: output(begun[0]), pytest.approx(2.5))
+        assert np.abs(np.diff([3.5, *written])).max() < 0.035, "half a cosine in 50 samples"
+    finally:
+        again.join()
+        running.stop = begun[0].stop
+
+
+def test_make_safe_of_a_device_that_does_not_come_back_is_an_error_within_a_time(t7):
+    device, running = t7
+    for force in (0.0, 0.0, 100.0):
+        device.exchange([force], 0.0)
+    running.stop()
+    running.stop = lambda: None
+    begin = time.monotonic()
+    with pytest.raises(
+        DeviceError, match=r"not made safe within 2 s, its outputs stay as they are unless it watches the"
+    ):
+        device.make_safe()
+    assert SAFE_TIME <= time.monotonic() - begin < SAFE_TIME + RAMP_TIME + 2 * 0.5
+
+
+def test_a_device_that_restarts_gives_no_samples_until_it_is_opened_again(t7, tmp_path):
+    device, running = t7
+    for force in (0.0, 0.0, *np.linspace(0, 10e3, 50)):
+        device.exchange([force], 0.0)
+    running.stop()
+    with pytest.raises(DeviceError, match="no answer"):
+        device.exchange([10e3], 0.0)
+    again = Running(tmp_path / "t7.yaml")
+    running.stop = again.stop
+    put_output(again, 0.0)
+    lost = r"register 43900 has 0 instead of 10, register 43903 has 0 instead of 1, register 46181 has 0 instead of 1"
+    for _ in range(3):
+        with pytest.raises(
+            DeviceError, match=rf"modbus device LabJack T7 at .*: has restarted \({lost}\); the next acti"
+        ):
+            device.exchange([10e3], 0.0)
+        reaches(lambda: output(again), pytest.approx(2.5))
+    device.make_safe()
+    device.open()
+    assert np.abs(device.exchange([0.0], 0.0).values[:3]).max() < 0.01
+
+
+def test_settings_that_a_device_does_not_allow_to_be_read_are_no_restart(t7, monkeypatch):
+    device, _ = t7
+    read = device._client.read_holding_registers
+
+    def others(first, **options):
+        return ExceptionResponse(3, 2) if first > 40000 else read(first, **options)
+
+    device.exchange([0.0], 0.0)
+    lose_an_answer(device, monkeypatch, "write_registers")
+    monkeypatch.setattr(device._client, "read_holding_registers", others)
+    with pytest.raises(DeviceError, match="no answer"):
+        device.exchange([0.0], 0.0)
+    device.exchange([0.0], 0.0)
 
 
 def test_outputs_that_a_device_does_not_allow_to_be_read_go_to_zero_from_the_last_command(t7, monkeypatch):
@@ -272,7 +348,6 @@ def test_a_device_that_stops_answering_is_an_error(t7):
     where = r"modbus device LabJack T7 at 127.0.0.1:\d+: write registers 1000 to 1003: "
     with pytest.raises(DeviceError, match=where):
         [device.exchange([0.0], 0.0) for _ in range(3)]
-    device.make_safe()
 
 
 def test_a_device_that_is_not_there_is_an_error(tmp_path):

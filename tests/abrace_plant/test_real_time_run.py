@@ -73,7 +73,7 @@ def test_samples_are_stamped_with_their_real_instants_and_the_run_ends_at_rest(r
     last = bench.samples[-1]
     assert last.head.flags & LAST
     assert last.head.state == State.STANDBY
-    assert bench.run.error is None
+    assert bench.run.errors == []
     commands = np.array([sample.command[0] for sample in bench.samples])
     assert np.abs(np.diff(commands)).max() <= 5e6 * PERIOD
 
@@ -212,7 +212,7 @@ def test_a_device_that_cannot_be_made_safe_is_closed_and_the_run_ends_with_that_
     bench = Bench(rig, device)
     bench.until(lambda: len(bench.samples) > 5)
     bench.end()
-    assert str(bench.run.error) == "no card"
+    assert [str(error) for error in bench.run.errors] == ["no card"]
     assert device.closed
 
 
@@ -220,6 +220,6 @@ def test_an_error_in_the_run_makes_the_device_safe_and_is_told(rig):
     device = Scripted(rig, lambda count: ValueError("a mistake") if count == 20 else None)
     bench = Bench(rig, device)
     assert bench.over.wait(20)
-    assert str(bench.run.error) == "a mistake"
+    assert [str(error) for error in bench.run.errors] == ["a mistake"]
     assert device.safe
     assert device.closed

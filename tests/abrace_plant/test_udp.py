@@ -228,7 +228,8 @@ def test_make_safe_tells_the_target_and_falls_silent_without_a_step(target):
         last = target.commands.decode(target.socket.recv(1024))
         assert last == (before + k, (20e3, 1.0), last.time, None, False)
     target.device.close()
-    target.device.make_safe()
+    with pytest.raises(DeviceError, match=r"not made safe, the target has to watch the life counter: .* not open"):
+        target.device.make_safe()
 
 
 def test_readings_and_commands_go_through_the_calibration(tmp_path):

@@ -285,6 +285,9 @@ class AbraceNode(Node):
         """Begin to come to rest, after a signal; returns the seconds that this may take before the process ends."""
         return 0.0
 
+    def ended_before_rest(self) -> None:
+        """Override to report that the process ends although the node is not at rest, as `leave` took too long."""
+
     def finish(self, exit_code: int, message: str) -> None:
         """End the process after this callback; `message` is its result on standard output, or logged as an error."""
         self.exit_code = exit_code

@@ -175,6 +175,8 @@ def _spin(node: AbraceNode, signals: _Signals) -> int:
             if node.exit_code is None:
                 latest = time.monotonic() + node.leave()
                 _turn(node, executor, lambda: node.exit_code is not None or node.at_rest or time.monotonic() >= latest)
+                if node.exit_code is None and not node.at_rest:
+                    node.ended_before_rest()
     return node.exit_code or 0
 
 

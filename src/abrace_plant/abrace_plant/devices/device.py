@@ -64,7 +64,13 @@ class Device(Protocol):
         ...
 
     def make_safe(self) -> None:
-        """Bring force to zero and the table to rest, as far as the device can; raises nothing."""
+        """Bring force to zero and the table to rest, as far as the device can.
+
+        Raises
+        ------
+        DeviceError
+            If it could not: with what the hardware does now. The process then ends with exit code 1.
+        """
         ...
 
     def close(self) -> None:

@@ -6,6 +6,9 @@ A device that only answers has no tick of its own, and keeps its outputs when no
 is opened, and after a request without an answer, its outputs are read, because it may have kept or changed them, and
 are brought to zero from there; until it has answered that, no output is written. A request without an answer ends the
 connection, so that the kernel does not send it again later.
+
+A device that restarts ends its connections too. So after a request without an answer the registers of the set-up are
+also read: a device that has lost it gives no samples until it is opened again, which sets it up.
 """
 
 from __future__ import annotations
@@ -50,6 +53,8 @@ RAMP_TIME = 0.5
 """Seconds in which the outputs are brought to zero."""
 OPEN_TIME = 2.0
 """Seconds that `open` waits for a connection."""
+SAFE_TIME = 2.0
+"""Seconds for which `make_safe` tries again when requests are not answered; a ramp that has begun then is finished."""
 NOT_NOW = (5, 6, 10, 11)
 """Modbus exception codes of a device that is busy, and of a gateway that does not reach it."""
 RESET = struct.pack("ii", 1, 0)
@@ -154,6 +159,9 @@ class ModbusDevice:
         self._file = file
         self._map = registers
         self._inputs, self._outputs = inputs, outputs
+        self._set_up = [Block([(0, setting)], registers.word_order) for setting in registers.set_up]
+        self._settings: list[list[int]] = []
+        self._restarted = ""
         self._life = Block([(0, registers.life_counter)], registers.word_order) if registers.life_counter else None
         self._period = 1 / sample_rate
         self._name = f"modbus device {registers.name} at {file.address}:{file.port}"
@@ -180,11 +188,12 @@ class ModbusDevice:
         self._client.comm_params.timeout_connect = self._file.timeout
         self._last = [0.0] * self.calibration.commands
         self._tick = 0.0
+        self._restarted = ""
         self.calibration.reset()
         try:
-            for setting in self._map.set_up:
-                block = Block([(0, setting)], self._map.word_order)
+            for block, setting in zip(self._set_up, self._map.set_up, strict=True):
                 self._write(block, [setting.value])
+            self._settings = self._read_settings()
             self._bring_to_rest()
             self._read()
         except DeviceError:
@@ -200,12 +209,15 @@ class ModbusDevice:
         Raises
         ------
         DeviceError
-            If the device does not answer within the time-out, or refuses.
+            If the device does not answer within the time-out, refuses, or has restarted since it was opened.
         """
+        if self._restarted:
+            raise DeviceError(self._restarted)
         if self._outputs_known:
             self._command([*command, table])
         else:
             self._bring_to_rest()
+            self._check_set_up()
         now = time.monotonic()
         missed = int((now - self._tick) / self._period) if self._tick else 0
         self._tick = self._tick + (missed + 1) * self._period if self._tick else now
@@ -217,12 +229,28 @@ class ModbusDevice:
         return Reading(values, stamp, clipped, missed, time.monotonic() - self._tick)
 
     def make_safe(self) -> None:
-        """Bring the outputs to zero within `RAMP_TIME`, unless the device does not answer or does not take them."""
-        with contextlib.suppress(AbraceError):
-            if self._outputs_known:
-                self._ramp_to_zero()
-            else:
-                self._bring_to_rest()
+        """Bring the outputs to zero within `RAMP_TIME`; try again, with a new connection, for `SAFE_TIME`.
+
+        Raises
+        ------
+        DeviceError
+            If they could not be brought to zero by then.
+        """
+        latest = time.monotonic() + SAFE_TIME
+        while True:
+            try:
+                if self._outputs_known:
+                    self._ramp_to_zero()
+                else:
+                    self._bring_to_rest()
+                return
+            except AbraceError as error:
+                if time.monotonic() >= latest:
+                    raise DeviceError(
+                        f"not made safe within {SAFE_TIME:g} s, its outputs stay as they are unless it watches the "
+                        f"life counter: {error}"
+                    ) from error
+            time.sleep(self._period)
 
     def close(self) -> None:
         """Disconnect."""
@@ -246,6 +274,29 @@ class ModbusDevice:
             self._last = self.calibration.commanded(raw.tolist()).tolist()
         self._ramp_to_zero()
         self._outputs_known = True
+
+    def _read_settings(self) -> list[list[int]]:
+        """The registers of the set-up as the device has them; none of a setting that it does not allow to be read."""
+        found = []
+        for block in self._set_up:
+            try:
+                found.append(list(self._asked("read", block, count=block.words).registers))
+            except RefusalError:
+                found.append([])
+        return found
+
+    def _check_set_up(self) -> None:
+        """Raise a DeviceError, now and until it is opened again, if the device has lost its set-up."""
+        changed = [
+            f"register {block.first} has {block.decode(now)[0]:g} instead of {block.decode(before)[0]:g}"
+            for block, before, now in zip(self._set_up, self._settings, self._read_settings(), strict=True)
+            if before and now and before != now
+        ]
+        if changed:
+            self._restarted = (
+                f"{self._name}: has restarted ({', '.join(changed)}); the next activation sets it up again"
+            )
+            raise DeviceError(self._restarted)
 
     def _ramp_to_zero(self) -> None:
         steps = max(1, round(RAMP_TIME / self._period)) if any(self._last) else 1

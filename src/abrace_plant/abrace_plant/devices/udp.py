@@ -8,7 +8,6 @@ are processed late, one after the other, unless they are older than the time-out
 
 from __future__ import annotations
 
-import contextlib
 import select
 import socket
 import time
@@ -236,10 +235,17 @@ class UdpDevice:
         """Tell the target to bring force and table to rest by itself, and send nothing more: its life counter stops.
 
         Zero force from here would be a step of it: the target has the ramp.
+
+        Raises
+        ------
+        DeviceError
+            If nothing can be sent.
         """
-        with contextlib.suppress(DeviceError):
+        try:
             for _ in range(LAST_COMMANDS):
                 self._send(self._last_outputs, enable=False)
+        except DeviceError as error:
+            raise DeviceError(f"not made safe, the target has to watch the life counter: {error}") from error
 
     def close(self) -> None:
         """Close the socket."""

@@ -56,6 +56,7 @@ class ModbusPort:
         zero = calibration.outputs([0.0] * calibration.commands)
         for block in outputs:
             self._registers[block.first : block.first + block.words] = block.encode([zero[i] for i in block.positions])
+        self._commanded = list(self._registers)
         self._written: list[tuple[int, list[int]]] = []
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="modbus", daemon=True)
@@ -79,20 +80,22 @@ class ModbusPort:
             if values is None:
                 registers[first - start : first - start + count] = self._registers[first : first + count]
             else:
-                self._written.append((first, [int(value) for value in values]))
+                words = [int(value) for value in values]
+                self._registers[first : first + count] = words
+                self._written.append((first, words))
 
         registers = [SimData(0, count=65536, datatype=DataType.REGISTERS)]
         self._server = ModbusTcpServer(SimDevice(id=0, simdata=registers, action=action), address=address)
         await self._server.serve_forever(background=True)
 
     def serve(self, now: float) -> None:  # noqa: ARG002
-        """Receive what has been written until `now`."""
+        """Give the target what has been written until `now`."""
         while self._written:
             first, words = self._written.pop(0)
-            self._registers[first : first + len(words)] = words
+            self._commanded[first : first + len(words)] = words
             raw = [0.0] * self._calibration.commands
             for block in self._outputs:
-                values = block.decode(self._registers[block.first : block.first + block.words])
+                values = block.decode(self._commanded[block.first : block.first + block.words])
                 for position, value in zip(block.positions, values, strict=True):
                     raw[position] = value
             self._target.command(self._calibration.commanded(raw), enabled=True)

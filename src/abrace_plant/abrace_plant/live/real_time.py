@@ -37,7 +37,8 @@ def command_zeros(device: Device, groups: int, samples: int, patience: float) ->
     Raises
     ------
     Exception
-        What the device raised after that, or at once if it was no DeviceError; it is made safe and closed.
+        What the device raised after that, or at once if it was no DeviceError; it is made safe and closed. A
+        DeviceError of both if it could not be made safe.
     """
     latest = time.monotonic() + patience
     try:
@@ -48,9 +49,13 @@ def command_zeros(device: Device, groups: int, samples: int, patience: float) ->
             except DeviceError:
                 if time.monotonic() > latest:
                     raise
-    except BaseException:
-        device.make_safe()
-        device.close()
+    except BaseException as error:
+        try:
+            device.make_safe()
+        except DeviceError as unsafe:
+            raise DeviceError(f"{error}; {unsafe}") from error
+        finally:
+            device.close()
         raise
 
 
@@ -68,7 +73,8 @@ class RealTimeRun(threading.Thread):
     publish
         Called with each sample, with the lock.
     over
-        Called, without the lock, when the run is over; what broke it off is in `error`.
+        Called, without the lock, when the run is over; what broke it off, and why the device could not be made safe or
+        closed, is in `errors`.
     prepare
         Called first in the thread.
     """
@@ -87,7 +93,7 @@ class RealTimeRun(threading.Thread):
         self._loop, self._device = loop, device
         self._period, self._publish, self._over, self._prepare = sample_period, publish, over, prepare
         self._answered = threading.Condition(lock)
-        self.error: BaseException | None = None
+        self.errors: list[BaseException] = []
 
     def answered(self) -> None:
         """An answer has come; called with the lock."""
@@ -103,11 +109,11 @@ class RealTimeRun(threading.Thread):
         self._over()
 
     def _note_error(self, act: Callable[[], None]) -> None:
-        """Do it, and keep the first error: a device of a laboratory's own may fail at the end, too."""
+        """Do it, and note the error: a device may fail at the end, too."""
         try:
             act()
         except BaseException as error:
-            self.error = self.error or error
+            self.errors.append(error)
 
     def _run(self) -> None:
         self._prepare()

@@ -25,6 +25,7 @@ from abrace_core.node.conventions import (
     TRANSIENT_LOCAL_QOS,
     clearing,
 )
+from abrace_core.node.lifecycle import REST_MARGIN
 from abrace_core.node.stop_listener import StopListener
 from abrace_core.safety.rig_safety import RigSafety
 from abrace_core.safety.table_stop import LONGEST
@@ -185,6 +186,10 @@ class RigNode(AbraceLifecycleNode):
             return self.loop is None or self.loop.ended
         return self.run is None
 
+    def ended_before_rest(self) -> None:
+        """End with code 1: the device has not been made safe."""
+        self.finish(1, f"not at rest after {self.ramp_time + REST_MARGIN:g} s: the device was not made safe")
+
     def deactivate(self) -> None:
         """The run is over."""
         self.due = None
@@ -201,8 +206,9 @@ class RigNode(AbraceLifecycleNode):
         run, loop = self.run, self.loop
         assert run is not None
         assert loop is not None
-        if run.error is not None:
-            self.later(lambda: self.finish(1, f"{type(run.error).__name__}: {run.error}"))
+        if run.errors:
+            texts = [str(one) if isinstance(one, AbraceError) else f"{type(one).__name__}: {one}" for one in run.errors]
+            self.later(lambda: self.finish(1, "; ".join(texts)))
         elif self.done:
             self.later(lambda: self.finish_run(f"{loop.sequence + 1} samples, {loop.missed_deadlines} late answers"))
         with self.lock:
