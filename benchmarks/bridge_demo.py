@@ -153,12 +153,11 @@ def bridge_demo(seconds: float = SECONDS, rate: float = RATE, priority: int = PR
             while (ended := group.poll()) is None:
                 watch.spin_until(lambda: False, time.monotonic() + 0.5)
             watch.spin_until(lambda: False, time.monotonic() + 0.5)
-            group.raise_if_died(may_finish=["sensor_bridge"])
             done = "\n".join(ended.last_lines())
+            counts = re.search(r"([0-9]+) samples, ([0-9]+) late answers", done)
+            if ended.name != "sensor_bridge" or counts is None:
+                raise ended.died()
             group.stop_all([*names, "sensor_bridge"])
-            counts = re.search(r"done: ([0-9]+) samples, ([0-9]+) late answers", done)
-            if counts is None:
-                raise RuntimeError(done)
             parts = {
                 "intervals": watch.intervals(1 / rate),
                 "timer": bare_timer(1 / rate, BESIDE),

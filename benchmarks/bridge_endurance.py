@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from udp_target import KINDS, PERIOD, UdpTarget, device_file, malformed, values_of
 
 from abrace_plant.devices.device import DeviceError
+from abrace_plant.devices.udp import UdpFile
 
 if TYPE_CHECKING:
     from multiprocessing.synchronize import Event
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 MALFORMED = 100_000
 MALFORMED_RATE = 10_000
 """Packets per second."""
+TIMEOUT = UdpFile.model_fields["timeout"].default
+"""Of a device file that names none [s]."""
 
 
 def flood(path: Path, packets: int, stopped: Event) -> None:
@@ -48,14 +51,14 @@ def flood(path: Path, packets: int, stopped: Event) -> None:
                 time.sleep(5e-5)
 
 
-def bridge_endurance(packets: int = MALFORMED) -> dict[str, Any]:
+def bridge_endurance(packets: int = MALFORMED, timeout: float = TIMEOUT) -> dict[str, Any]:
     """Counts of `packets` malformed ones, of wrong and missed samples; for verify.json.
 
-    A missed sample is a good one that the device did not take for one. `superseded` are those that had been followed by
-    the next when this process, on a busy machine, came to read them; `errors` are exchanges that timed out.
+    A missed sample is a valid one that was not used: the device did not recognize it, or it was older than the
+    `timeout` [s] when this process, on a busy machine, came to read it. `errors` are exchanges that timed out.
     """
     with tempfile.TemporaryDirectory() as folder:
-        path = device_file(Path(folder), timeout=0.1)
+        path = device_file(Path(folder), timeout=timeout)
         stopped = multiprocessing.Event()
         target = multiprocessing.Process(target=flood, args=(path, packets, stopped))
         device = UdpTarget.device_of(path)
@@ -64,20 +67,21 @@ def bridge_endurance(packets: int = MALFORMED) -> dict[str, Any]:
             device.open()
             first = round(device.exchange([0.0], 0.0).values[0])
             at_first, last = device.samples, first
-            wrong = superseded = errors = 0
-            worst = 0.0
+            wrong = errors = 0
+            worst, follows = 0.0, True
             while sum(device.dropped.values()) < packets and last - first < 2 * packets:
                 begun = time.perf_counter()
                 try:
                     reading = device.exchange([0.0], 0.0)
                 except DeviceError:
                     errors += 1
+                    follows = False  # it takes the next samples, whatever their counter is
                     continue
                 worst = max(worst, time.perf_counter() - begun)
                 counter = round(reading.values[0])
-                wrong += reading.values.tolist() != values_of(counter) or counter != last + 1 + reading.missed
-                superseded += reading.missed
-                last = counter
+                wrong += reading.values.tolist() != values_of(counter)
+                wrong += follows and counter != last + 1 + reading.missed
+                last, follows = counter, True
             missed = last - first - (device.samples - at_first)
         finally:
             stopped.set()
@@ -88,7 +92,6 @@ def bridge_endurance(packets: int = MALFORMED) -> dict[str, Any]:
         "wrong_samples": wrong,
         "missed_samples": missed,
         "samples": last - first,
-        "superseded": superseded,
         "errors": errors,
         "worst_exchange_ms": 1e3 * worst,
         "dropped": dict(device.dropped),

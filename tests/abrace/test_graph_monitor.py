@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a campaign names a life cycle transition that fails."""
+"""What a campaign knows of its nodes, and how it names a life cycle transition that fails."""
 
 from types import SimpleNamespace
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import Transition
 
 from abrace.nodes.graph_monitor import GraphMonitor
+from abrace.report.node_table import MOST_NODES
 from abrace_core.errors import RunFailed
 
 
@@ -28,3 +30,22 @@ def test_a_refused_transition_is_named_in_words(monkeypatch):
 def test_a_transition_that_is_not_answered_is_named_in_words(monkeypatch):
     with pytest.raises(RunFailed, match=r"^plant did not deactivate within 0.01 s$"):
         monitor(monkeypatch, answered=False).change_state("plant", Transition.TRANSITION_DEACTIVATE, 0.01, lambda: None)
+
+
+def status(name: str, level: bytes = DiagnosticStatus.OK) -> DiagnosticStatus:
+    return DiagnosticStatus(level=level, name=name, message="so", values=[KeyValue(key="sequence", value="7")])
+
+
+def test_names_of_anyone_fill_no_memory_and_the_nodes_that_report_are_kept():
+    one = GraphMonitor("/demo", ())
+    for number in range(3 * MOST_NODES):
+        reported = [status(f"demo/somebody_{number}: state", DiagnosticStatus.ERROR), status("demo/plant: state")]
+        one._on_diagnostics(DiagnosticArray(status=[*reported, status("other/plant: state", DiagnosticStatus.ERROR)]))
+    assert len(one.reports) == len(one.values) == MOST_NODES
+    assert one.values["plant"] == {"sequence": "7"}
+    assert "plant" not in one.faults
+    assert one.faults[f"somebody_{number}"] == "so"
+    one._on_diagnostics(DiagnosticArray(status=[status("demo/plant: state", DiagnosticStatus.ERROR)]))
+    assert one.faults["plant"] == "so"
+    one._on_diagnostics(DiagnosticArray(status=[status("demo/plant: state")]))
+    assert "plant" not in one.faults

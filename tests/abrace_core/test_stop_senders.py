@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who asks for a stop."""
 
-from abrace_core.safety.stop_senders import UNNAMED, StopSenders
+from abrace_core.safety.stop_senders import MANY, SILENCE, UNNAMED, StopSenders
 
 
 def test_nobody_asks_until_one_presses():
@@ -75,3 +75,26 @@ def test_a_button_that_comes_back_pressed_after_it_was_forgotten_is_a_stop_again
     assert not senders.who(31.0)
     senders.hear("a", "panel", 5, True, 32.0)
     assert senders.who(32.0) == "pressed by panel"
+
+
+def test_of_many_senders_those_that_have_released_and_fallen_silent_are_dropped_and_no_stop_is():
+    senders = StopSenders(0.0, 0.0)
+    senders.hear("pressed", "panel", 1, True, 0.0)
+    senders.hear("page", "page", 1, False, 0.0)
+    for second in range(5000):
+        senders.hear(second, f"program_{second}", 1, True, float(second))
+        senders.hear(second, f"program_{second}", 2, False, float(second))
+        senders.hear("page", "page", second + 2, False, float(second))
+        assert senders.who(float(second)) == "pressed by panel", second
+        assert len(senders.senders) <= MANY + SILENCE
+    assert senders.name("page") == "page", "which goes on sending"
+    senders.hear(0, "program_0", 3, True, 5000.0)
+    assert senders.who(5000.0) == "pressed by panel, pressed by program_0", "one that was dropped is heard again"
+
+
+def test_of_many_senders_with_a_heartbeat_none_is_dropped_as_silence_is_a_stop():
+    senders = StopSenders(0.5, 0.0)
+    for second in range(5 * MANY):
+        senders.hear(second, f"program_{second}", 1, False, float(second))
+    asking = senders.who(5.0 * MANY)
+    assert all(f"no heartbeat of program_{second} " in asking for second in range(5 * MANY))

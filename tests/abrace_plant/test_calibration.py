@@ -183,4 +183,14 @@ def test_a_calibration_file_that_is_wrong_is_refused_by_its_key(tmp_path, old, n
 
 def test_the_calibration_of_the_papers_rig_has_the_ranges_of_its_sensors():
     found = Calibration(read_calibration(CONFIG / "device_parts/calibration.yaml"), CHANNELS, ("U", "w"), RATE)
-    np.testing.assert_allclose(found.range, [sensor.range for sensor in RIG.channel_sensors], rtol=1e-12)
+    ends = [(-sensor.range, sensor.range) for sensor in RIG.channel_sensors]
+    np.testing.assert_allclose(found.range, ends, rtol=1e-12)
+
+
+def test_a_range_has_both_ends_in_si_units_whatever_sign_and_offset():
+    found = calibration("""
+        x1: {gain: 10.0, unit: mm, offset: 1.0, range: [-2, 10]}
+        a1: {gain: 0.5, unit: m/s^2, sign: -1, range: [-2, 10]}
+    """)
+    np.testing.assert_allclose(found.range, [[-0.03, 0.09], [-5.0, 1.0]], rtol=1e-12)
+    assert Calibration(None, ("x1",), (), RATE).range.tolist() == [[-math.inf, math.inf]]

@@ -66,10 +66,12 @@ def laboratory(tmp_path, monkeypatch):
 
 
 class Task:
-    """As much of nidaqmx.Task as the example uses."""
+    """As much of nidaqmx.Task as the example uses; a task whose channels are read once reads the outputs."""
 
+    standing: list[float] = []
     written: list[list[float]] = []
     scans: list[list[float]] = []
+    fails = False
 
     def __init__(self) -> None:
         self.ao_channels = self.ai_channels = self.timing = self.in_stream = self
@@ -78,10 +80,20 @@ class Task:
     def __getattr__(self, name):
         return lambda *_, **__: None
 
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
     def write(self, values):
+        if Task.fails:
+            raise RuntimeError("the card is gone")
         Task.written.append(values)
 
-    def read(self, count, timeout):
+    def read(self, count=None, timeout=None):
+        if count is None:
+            return Task.standing
         if len(Task.scans) < count:
             raise RuntimeError(f"no scan within {timeout} s")
         found = Task.scans[:count]
@@ -97,7 +109,9 @@ def card(tmp_path, monkeypatch):
     module.constants.AcquisitionType = types.SimpleNamespace(CONTINUOUS=1)
     monkeypatch.setitem(sys.modules, "nidaqmx", module)
     monkeypatch.setitem(sys.modules, "nidaqmx.constants", module.constants)
+    monkeypatch.setattr(Task, "standing", [0.0, 0.0])
     monkeypatch.setattr(Task, "written", [])
+    monkeypatch.setattr(Task, "fails", False)
     monkeypatch.setattr(Task, "scans", [])
     text = (DOCS / "bridge.md").read_text().partition("    kind: ni_daqmx\n")
     path = tmp_path / "device.yaml"
@@ -134,6 +148,38 @@ def test_the_card_of_the_docs_ramps_its_outputs_to_zero_after_an_error_at_full_f
     assert (np.diff(np.abs(volts), axis=0) <= 0).all()
     assert np.abs(np.diff(volts, axis=0)).max() < 0.05, "no step"
     assert volts[-1].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.usefixtures("laboratory")
+def test_the_card_of_the_docs_begins_where_another_program_has_left_its_outputs(card: Device):
+    Task.standing = [8.0, -1.0]
+    card.open()
+    volts = np.array(Task.written)
+    assert np.abs(np.diff([[8.0, -1.0], *volts], axis=0)).max() < 0.05, "no step"
+    assert volts[-1].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.usefixtures("laboratory")
+@pytest.mark.parametrize("standing", [[0.1], 0.1, [0.1, 0.1, 0.1]])
+def test_the_card_of_the_docs_writes_nothing_where_it_does_not_know_each_output(card: Device, standing):
+    Task.standing = standing
+    with pytest.raises(
+        DeviceError, match=r"Dev1/ao0:1, read by Dev1/_ao0_.*: cannot reshape array of size [13] into shape \(2,\)"
+    ):
+        card.open()
+    assert Task.written == []
+
+
+@pytest.mark.usefixtures("laboratory")
+def test_the_card_of_the_docs_says_where_it_was_not_made_safe(card: Device):
+    card.open()
+    Task.fails = True
+    with pytest.raises(DeviceError, match="not made safe, the outputs keep their voltage: the card is gone"):
+        card.make_safe()
+    with pytest.raises(
+        DeviceError, match=r"NI-DAQmx Dev1/ao0:1, .*: not made safe, the outputs keep their voltage: the card"
+    ):
+        card.open()
 
 
 def test_the_card_of_the_docs_has_the_lines_that_the_page_says():

@@ -2,13 +2,19 @@
 """The Modbus device against pymodbus's own server: LabJack's T7 by its register map."""
 
 import dataclasses
+import json
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 
+import hosts
 import numpy as np
 import pytest
+from emulated_target import TICKING, EmulatedTarget
+from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ConnectionException
 from pymodbus.pdu import ExceptionResponse
 from udp_target import CHANNELS, CONFIG, RIG
@@ -192,6 +198,32 @@ def assert_ramp_from_0_volts(written):
     assert np.abs(np.diff([0.0, *written])).max() < 0.085, "half a cosine in 50 samples from 0 V, where the output was"
 
 
+@pytest.mark.parametrize(("failing", "error"), [("an answer", "no answer"), ("a setting", "43900 .*: refused")])
+def test_a_device_that_cannot_be_opened_is_left_without_a_force(t7, monkeypatch, failing, error):
+    """It has kept 10 kN; an answer is lost halfway through the ramp to zero, or it refuses a setting before that."""
+    device, running = t7
+    for force in (0.0, 0.0, *np.linspace(0, 10e3, 50)):
+        device.exchange([force], 0.0)
+    reaches(lambda: output(running), pytest.approx(3.5))
+    write, requests = ModbusTcpClient.write_registers, []
+
+    def failed(client, first, values, **options):
+        requests.append(first)
+        if failing == "an answer" and len(requests) == 60:
+            raise ConnectionException("no answer")
+        if failing == "a setting" and first == 43900:
+            return ExceptionResponse(16, 2)
+        return write(client, first, values, **options)
+
+    monkeypatch.setattr(ModbusTcpClient, "write_registers", failed)
+    written = noted_writes(device, monkeypatch)
+    with pytest.raises(DeviceError, match=error):
+        device.open()
+    assert device._client is None
+    reaches(lambda: output(running), pytest.approx(2.5))
+    assert np.abs(np.diff([3.5, *written])).max() < 0.035, "half a cosine in 50 samples, twice where an answer was lost"
+
+
 def test_no_output_is_written_while_the_read_back_is_not_answered(t7, monkeypatch):
     device, running = t7
     with_unknown_outputs(device, running, monkeypatch)
@@ -330,7 +362,7 @@ def test_a_write_without_an_answer_is_not_sent_later(tmp_path):
     """The connection is reset, with what was queued in it, and the next request has a new one."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         device = load_device(device_file(tmp_path, port=server.getsockname()[1], timeout=0.05), SLOW)
-        with pytest.raises(DeviceError, match="write registers 43900"):  # nobody answers
+        with pytest.raises(DeviceError, match=r"write registers 43900 .*; not made safe within 2 s"):  # nobody answers
             device.open()
         server.settimeout(5.0)
         with server.accept()[0] as connection:
@@ -338,6 +370,68 @@ def test_a_write_without_an_answer_is_not_sent_later(tmp_path):
             assert len(connection.recv(1000)) < 1000, "the one request that arrived at once"
             with pytest.raises(ConnectionResetError):
                 connection.recv(1000)
+
+
+HALF_OPEN = """
+import json, sys, time
+import numpy as np
+from abrace_plant.devices.device import DeviceError
+from abrace_plant.devices.file import load_device
+from abrace_plant.rig.file import load_rig
+
+device = load_device(sys.argv[1], load_rig(sys.argv[2]))
+device.open()
+for force in (0.0, 0.0, *np.linspace(0, 10e3, 50)):
+    device.exchange([force], 0.0)
+print(json.dumps(["driven", 0.0]), flush=True)
+for act in (lambda: device.exchange([10e3], 0.0), device.make_safe, device.make_safe, device.close):
+    input()
+    begin, error = time.monotonic(), ""
+    try:
+        act()
+    except DeviceError as found:
+        error = str(found)
+    print(json.dumps([error, time.monotonic() - begin]), flush=True)
+"""
+"""Drives a device on another host, exchanges another sample, and makes it safe twice, each when a line is read."""
+
+
+@pytest.mark.skipif(bool(hosts.missing()), reason=f"no two hosts here: {hosts.missing()}")
+def test_a_link_that_is_cut_is_an_error_within_the_time_out_and_the_device_is_made_safe_once_it_is_back(tmp_path):
+    """TCP itself would wait for minutes: neither host tells the other that the connection is gone."""
+    rig, path = tmp_path / "slow.yaml", device_file(tmp_path, address="10.0.0.1", timeout=0.1)
+    text = (CONFIG / "ncree_three_storey.yaml").read_text()
+    rig.write_text(text.replace("sample_rate: 500.0", "sample_rate: 100.0"))
+    emulator = map(str, EmulatedTarget(path, rig).command)
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with (
+        hosts.two_hosts() as (first, second, control),
+        subprocess.Popen([*hosts.on(first), *emulator], **pipes) as target,
+    ):
+        assert target.stdout.readline() == f"{TICKING}\n"
+        with subprocess.Popen([*hosts.on(second), sys.executable, "-c", HALF_OPEN, path, rig], **pipes) as driver:
+
+            def next_step():
+                print(file=driver.stdin, flush=True)
+                return json.loads(driver.stdout.readline())
+
+            assert json.loads(driver.stdout.readline()) == ["driven", 0.0]
+            link = hosts.Link(control)
+            link.set(cut=True)
+            error, seconds = next_step()
+            assert "write registers 1000 to 1003: no answer within 100 ms" in error
+            assert seconds < 0.1 + 0.5, "the time-out"
+            error, seconds = next_step()
+            assert "not made safe within 2 s, its outputs stay as they are" in error
+            assert seconds < SAFE_TIME + RAMP_TIME + 0.5
+            link.set()
+            error, seconds = next_step()
+            assert error == "", "it is made safe"
+            next_step()
+        target.terminate()
+        report = json.loads(target.stdout.read())
+    assert report["worst_force"] == pytest.approx(10e3, rel=0.01)
+    assert report["worst_step"] < 2000.0
 
 
 def test_a_device_that_stops_answering_is_an_error(t7):

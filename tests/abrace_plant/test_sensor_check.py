@@ -10,6 +10,8 @@ from udp_target import CHANNELS, RIG
 
 from abrace_core.errors import AbraceError
 from abrace_core.noise import banded_noise
+from abrace_core.signals import unit
+from abrace_plant.devices.calibration import Calibration, CalibrationFile
 from abrace_plant.devices.sensor_check import check_sensors
 from abrace_plant.rig.model import Rig
 from abrace_plant.rig.sensors import Measurement, Sensor, parse_fault
@@ -74,8 +76,32 @@ def test_a_channel_that_reaches_its_end_is_named(at_rest):
     readings = at_rest.copy()
     readings[700:703, 4] = RIG.sensors.acceleration.range
     (found,) = (channel for channel in check_sensors(RIG, readings).channels if channel.faults)
-    assert found.faults == ("clipped: 3 samples at the end of the range, 6 m/s^2", *found.faults[1:])
+    assert found.faults == ("clipped: 3 samples at the upper end of the range, 6 m/s^2", *found.faults[1:])
     assert found.range_use == pytest.approx(1.0)
+
+
+def test_a_channel_of_an_asymmetric_range_is_named_with_the_end_at_which_it_is(at_rest):
+    """Of a converter of -2 to 10 V that reads 0.6 m/s^2 a volt, as its device reports its ends."""
+    entries = {name: {"gain": 1.0, "unit": unit(name), "range": (-30e3, 30e3)} for name in CHANNELS} | {
+        "a2": {"gain": 0.6, "unit": "m/s^2", "range": (-2.0, 10.0)}
+    }
+    calibration = Calibration(CalibrationFile(channels=entries, commands={}), CHANNELS, (), RIG.sample_rate)
+    channel = CHANNELS.index("a2")
+    np.testing.assert_allclose(calibration.range[channel], [-1.2, 6.0])
+    raw = at_rest.copy()
+    raw[:, channel] /= 0.6
+    raw[700:703, channel], raw[800, channel], raw[900, channel] = -2.0, 9.9999, 4.0
+    read = [calibration.measured(row) for row in raw]
+    values, clipped = np.array([one for one, _ in read]), [bits for _, bits in read]
+    found = check_sensors(RIG, values, clipped, calibration.range)
+    assert [one.name for one in found.channels if one.faults] == ["a2"]
+    assert found.channels[channel].faults[:2] == (
+        "clipped: 3 samples at the lower end of the range, -1.2 m/s^2",
+        "clipped: 1 sample at the upper end of the range, 6 m/s^2",
+    )
+    assert found.channels[channel].range_use == pytest.approx(1.0)
+    recorded = check_sensors(RIG, values, clipped)
+    assert "3 samples at the lower end" in recorded.channels[channel].faults[0], "of a bag, which has no ranges"
 
 
 @pytest.mark.parametrize("pair", [("a1", "a2"), ("a2", "a3"), ("a1", "a3")])

@@ -264,7 +264,7 @@ def test_between_thousands_of_malformed_packets_every_sample_is_used_and_no_othe
 
 
 def test_a_loop_at_500_hz_stands_malformed_packets_at_10_khz():
-    found = bridge_endurance(4000)
+    found = bridge_endurance(4000, timeout=0.1)  # other tests keep the machine busy
     assert found["malformed_packets"] >= 4000
     assert (found["wrong_samples"], found["missed_samples"]) == (0, 0), found
 

@@ -46,27 +46,33 @@ def test_the_hardware_is_read_at_rest_and_the_channel_that_fails_is_named(hardwa
     assert [channel["name"] for channel in channels if channel["faults"]] == ["a3"]
 
 
-def recorded(path: Path, wrong_sign: bool) -> Path:
-    """A bag of a test with the table, in which both load cells of the group read the same, or the second one's sign."""
+def recorded(path: Path, faults: bool) -> Path:
+    """A bag of a test with the table; with `faults` the second load cell has the wrong sign, and a2 clips 3 times."""
     run = Laboratory(RIG, 2).table_test(20.0)
     forces = np.repeat(run.outputs[:, -run.groups :], run.braces, axis=1)
-    write_bag(replace(run, forces=forces * [1.0, -1.0 if wrong_sign else 1.0]), path)
+    clipped = np.zeros(len(forces), dtype=np.uint64)
+    clipped[np.argsort(run.outputs[:, 5])[-3:]] = 1 << 5 if faults else 0
+    write_bag(replace(run, forces=forces * [1.0, -1.0 if faults else 1.0], clipped=clipped), path)
     return path
 
 
-@pytest.mark.parametrize("wrong_sign", [False, True])
-def test_a_bag_is_checked_with_the_load_cell_of_each_brace(tmp_path, wrong_sign):
-    ended = check(bag=recorded(tmp_path / "bag", wrong_sign), output=tmp_path / "check.json")
-    assert (ended.returncode, ended.stderr) == (int(wrong_sign), ""), ended.stdout
+@pytest.mark.parametrize("with_faults", [False, True])
+def test_a_bag_is_checked_with_its_flags_and_the_load_cell_of_each_brace(tmp_path, with_faults):
+    ended = check(bag=recorded(tmp_path / "bag", with_faults), output=tmp_path / "check.json")
+    assert (ended.returncode, ended.stderr) == (int(with_faults), ""), ended.stdout
     channels = json.loads((tmp_path / "check.json").read_text())["channels"]
     assert tuple(channel["name"] for channel in channels) == RIG.channel_names
     faults = {channel["name"]: channel["faults"] for channel in channels if channel["faults"]}
-    expected = {"fa": ["wrong sign: fa against fb"], "fb": ["wrong sign: fb against fa"]}
-    assert faults == (expected if wrong_sign else {})
+    expected = {
+        "a2": ["clipped: 3 samples at the upper end of the range, 6 m/s^2"],
+        "fa": ["wrong sign: fa against fb"],
+        "fb": ["wrong sign: fb against fa"],
+    }
+    assert faults == (expected if with_faults else {})
 
 
 def test_a_bag_of_another_rig_is_refused_with_both_rigs_channels(tmp_path):
-    bag = recorded(tmp_path / "bag", wrong_sign=False)
+    bag = recorded(tmp_path / "bag", faults=False)
     ended = check(bag=bag, rig="single_storey")
     message = f"{bag}: has the channels {', '.join(RIG.channel_names)}, expected those of the rig single_storey: x1, "
     assert ended.returncode == 2

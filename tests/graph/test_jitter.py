@@ -28,6 +28,8 @@ def test_a_rig_is_measured_beside_a_timer_and_an_echo(graph, tmp_path):
     assert [found[name]["events"] for name in ("timer", "echo")] == 2 * [round(0.5 / found["period"])]
     assert found["rig"]["events"] > 100
     assert all(found[name]["worst_us"] >= found[name]["median_us"] > 0 for name in ("rig", "timer", "echo"))
+    assert all(sum(found[name]["counts"]) == found[name]["events"] for name in ("rig", "timer", "echo"))
+    assert len(found["rig"]["counts"]) == len(found["edges_us"]) - 1
     assert (tmp_path / "jitter.png").stat().st_size > 10_000
     assert [line.split()[0] for line in ended.stdout.splitlines()] == ["us", "rig", "timer", "echo", "wrote"]
 

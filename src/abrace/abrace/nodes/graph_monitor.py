@@ -7,13 +7,13 @@ import time
 from typing import TYPE_CHECKING
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.signals import SignalHandlerOptions
 
-from abrace.report.node_table import NodeReport, count_of
+from abrace.report.node_table import NodeReports, count_of
 from abrace_core.errors import RunFailed
 from abrace_core.node import DIAGNOSTICS
 from abrace_core.node.leaving import destroy
@@ -78,12 +78,18 @@ class GraphMonitor:
         self._driven = driven
         self._name = name
         self._enclave = enclave
-        self.values: dict[str, dict[str, str]] = {}
+        self.reports = NodeReports()
+        """What each node has reported last, by its name in the namespace."""
+
+    @property
+    def values(self) -> dict[str, Mapping[str, str]]:
         """Values of each node's last diagnostics, by node name."""
-        self.faults: dict[str, str] = {}
-        """The fault that each node reports."""
-        self.reports: dict[str, NodeReport] = {}
-        """What each node has reported last."""
+        return {name: report.values for name, report in self.reports.items()}
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """The fault that each node reports that has one."""
+        return {name: report.message for name, report in self.reports.items() if report.failed}
 
     def __enter__(self) -> Self:
         self._context = rclpy.Context()
@@ -114,14 +120,8 @@ class GraphMonitor:
             namespace, _, name = status.name.partition(":")[0].rpartition("/")
             if f"/{namespace}" != self._namespace:
                 continue
-            values = self.values[name] = {pair.key: pair.value for pair in status.values}
-            failed = status.level == b"\x02"
-            before, now = self.reports.get(name), time.monotonic()
-            self.reports[name] = NodeReport.after(before, status.message, failed, values, now)
-            if failed:
-                self.faults[name] = status.message
-            else:
-                self.faults.pop(name, None)
+            values = {pair.key: pair.value for pair in status.values}
+            self.reports.keep(name, status.message, status.level == DiagnosticStatus.ERROR, values, time.monotonic())
 
     def spin_once(self) -> None:
         """Receive diagnostics and answers of services."""

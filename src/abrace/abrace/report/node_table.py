@@ -92,7 +92,7 @@ class NodeReport:
 
 
 class NodeReports(dict[str, NodeReport]):
-    """What each node has reported last, by its full name; of more than MOST_NODES those heard last."""
+    """What each node has reported last, by its name; of more than MOST_NODES those heard last."""
 
     def note(self, status: Any, now: float) -> None:
         """Note a status of `/diagnostics`, if it is the state of a node.
@@ -107,11 +107,14 @@ class NodeReports(dict[str, NodeReport]):
         name, _, what = status.name.partition(":")
         if what.strip() == "state":
             values = {pair.key: pair.value for pair in status.values}
-            full_name = f"/{name.lstrip('/')}"
-            before = self.get(full_name)
-            if before is None and len(self) >= MOST_NODES:
-                del self[min(self, key=lambda known: self[known].heard)]
-            self[full_name] = NodeReport.after(before, status.message, status.level != OK, values, now)
+            self.keep(f"/{name.lstrip('/')}", status.message, status.level != OK, values, now)
+
+    def keep(self, name: str, message: str, failed: bool, values: Mapping[str, str], heard: float) -> None:
+        """Keep what the node `name` has reported; the other arguments are those of `NodeReport.after`."""
+        before = self.get(name)
+        if before is None and len(self) >= MOST_NODES:
+            del self[min(self, key=lambda known: self[known].heard)]
+        self[name] = NodeReport.after(before, message, failed, values, heard)
 
     def rows(self, now: float) -> list[dict[str, str | float | int | None]]:
         """For each node its `name`, `level` (ok, error or stale), `state`, `rate` and `lost` at the time `now` [s]."""

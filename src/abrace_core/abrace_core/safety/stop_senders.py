@@ -10,6 +10,10 @@ if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable
 
 
+MANY = 100
+"""Senders from which on those that have released and fallen silent are dropped: programs that publish once."""
+SILENCE = 60.0
+"""Seconds without a message after which a sender counts as silent then."""
 UNNAMED = "a node of unknown name"
 """A sender whose name is not known yet: the middleware reports it after the first message, or never."""
 
@@ -44,6 +48,11 @@ class StopSenders:
         Messages come several times, by several subscriptions; one that is not newer than the last changes nothing.
         """
         known = self._senders.get(sender)
+        if known is None and len(self._senders) >= MANY and not self._heartbeat:
+            # neither of these is a stop; with a heartbeat, silence is one
+            self._senders = {
+                one: last for one, last in self._senders.items() if last.pressed or now - last.heard < SILENCE
+            }
         if known is None or number > known.number:
             self._senders[sender] = _Sender(name, number, pressed, now)
 
@@ -82,5 +91,5 @@ class StopSenders:
 
     @property
     def senders(self) -> tuple[Hashable, ...]:
-        """All senders so far."""
+        """All senders that are kept."""
         return tuple(self._senders)

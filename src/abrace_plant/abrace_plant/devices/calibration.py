@@ -219,9 +219,9 @@ class Calibration:
 
     @property
     def range(self) -> NDArray[np.float64]:
-        """(channels,) greatest magnitude in SI units that a channel reads on both sides; infinite without a file."""
-        ends = np.abs(np.array([self._low - self._offset, self._high - self._offset]) * self._scale)
-        return ends.min(axis=0)
+        """(channels, 2) lower and upper end of a channel's readings in SI units; infinite without a file."""
+        ends = (np.column_stack([self._low, self._high]) - self._offset[:, None]) * self._scale[:, None]
+        return np.sort(ends, axis=1)
 
 
 def zeroed(

@@ -37,12 +37,12 @@ class Device(Protocol):
     """The hardware of a rig. One thread calls all of it."""
 
     def open(self) -> None:
-        """Connect; the device does not move yet.
+        """Connect; the device does not move yet, but outputs that are not at zero are ramped there.
 
         Raises
         ------
         AbraceError
-            If it is not there.
+            If it is not there. It is closed, and what it was reached for has been made safe as far as possible.
         """
         ...
 
@@ -76,3 +76,19 @@ class Device(Protocol):
     def close(self) -> None:
         """Disconnect."""
         ...
+
+
+def give_up(device: Device, error: BaseException) -> None:
+    """Make a `device` safe and close it after an `error`, which is then raised again.
+
+    Raises
+    ------
+    DeviceError
+        Of both, if it could not be made safe.
+    """
+    try:
+        device.make_safe()
+    except DeviceError as unsafe:
+        raise DeviceError(f"{error}; {unsafe}") from error
+    finally:
+        device.close()

@@ -28,7 +28,7 @@ from pymodbus.client import ModbusTcpClient
 
 from abrace_core.config_file import read_config
 from abrace_core.errors import AbraceError
-from abrace_plant.devices.device import DeviceError, Reading
+from abrace_plant.devices.device import DeviceError, Reading, give_up
 from abrace_plant.devices.file import (
     Address,
     DeviceFile,
@@ -177,7 +177,8 @@ class ModbusDevice:
         Raises
         ------
         DeviceError
-            If it does not answer.
+            If it does not answer, or refuses a setting; its outputs are first brought to zero, and if that fails, too,
+            the error says so.
         """
         self.close()
         address = str(self._file.address)
@@ -187,6 +188,7 @@ class ModbusDevice:
             raise DeviceError(f"{self._name}: no connection within {OPEN_TIME:g} s")
         self._client.comm_params.timeout_connect = self._file.timeout
         self._last = [0.0] * self.calibration.commands
+        self._outputs_known = False
         self._tick = 0.0
         self._restarted = ""
         self.calibration.reset()
@@ -196,8 +198,8 @@ class ModbusDevice:
             self._settings = self._read_settings()
             self._bring_to_rest()
             self._read()
-        except DeviceError:
-            self.close()
+        except DeviceError as error:
+            give_up(self, error)
             raise
 
     def exchange(self, command: Sequence[float], table: float) -> Reading:

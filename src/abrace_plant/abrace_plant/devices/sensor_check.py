@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 
 from abrace_core import signals
 from abrace_core.errors import AbraceError
-from abrace_plant.devices.calibration import AT_END
+from abrace_plant.rig.over_range import OverRange
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -61,7 +61,7 @@ class ChannelCheck:
     expected_noise
         Of the rig file, with that of the converter's steps.
     range_use
-        Greatest reading over the end of the range.
+        Greatest reading over the end of the range on its side.
     drift
         Change over the record of the straight line through it.
     faults
@@ -110,7 +110,9 @@ class SensorCheck:
         return "\n".join(lines)
 
 
-def check_sensors(rig: Rig, readings: ArrayLike, ranges: ArrayLike | None = None) -> SensorCheck:
+def check_sensors(
+    rig: Rig, readings: ArrayLike, clipped: Sequence[int] | None = None, ranges: ArrayLike | None = None
+) -> SensorCheck:
     """Check the sensors of a rig by a record.
 
     Parameters
@@ -119,8 +121,11 @@ def check_sensors(rig: Rig, readings: ArrayLike, ranges: ArrayLike | None = None
         Its sensors' noise and range, its floors and braces.
     readings
         (samples, channels) as a device or a bag gives them.
+    clipped
+        (samples,) bits as in `Reading.clipped` and `Run.clipped`: the channels at the end of their range. None:
+        unknown. Readings at the end of the rig file's range are found in any case.
     ranges
-        (channels,) ends of the channels' ranges in SI units, where they are not those of the rig file.
+        (channels, 2) lower and upper end of the channels' ranges in SI units, if narrower than those of the rig file.
 
     Raises
     ------
@@ -137,13 +142,21 @@ def check_sensors(rig: Rig, readings: ArrayLike, ranges: ArrayLike | None = None
         bad = names[int(np.flatnonzero(~np.isfinite(values).all(axis=0))[0])]
         raise AbraceError(f"readings of {bad} are not finite")
     sensors = rig.channel_sensors
-    ends = np.array([sensor.range for sensor in sensors]) if ranges is None else np.asarray(ranges)
-    ends = np.where(np.isfinite(ends), ends, [sensor.range for sensor in sensors])
+    high = np.array([sensor.range for sensor in sensors])
+    low = -high
+    if ranges is not None:
+        low, high = np.maximum(low, np.asarray(ranges)[:, 0]), np.minimum(high, np.asarray(ranges)[:, 1])
+    over_range = OverRange(sensors)
+    at_end = (values < over_range.lowest) | (values > over_range.highest)
+    if clipped is not None:
+        at_end |= np.array([[bits >> i & 1 for i in range(len(names))] for bits in clipped], dtype=np.bool_)
+    upper = values > (low + high) / 2
+    ends = (("lower", low, at_end & ~upper), ("upper", high, at_end & upper))
     expected = np.array([np.hypot(sensor.noise, sensor.step / np.sqrt(12)) for sensor in sensors])
     expected = np.maximum(expected, FINEST * np.array([sensor.range for sensor in sensors]))
     # the fourth difference of white noise has the variance 1 + 16 + 36 + 16 + 1 of its own
     noise = np.diff(values, 4, axis=0).std(axis=0) / np.sqrt(70)
-    use = np.abs(values).max(axis=0) / ends
+    use = np.maximum(values.max(axis=0) / high, values.min(axis=0) / low)
     time = np.linspace(-0.5, 0.5, len(values))
     drift = time @ values / (time @ time)
     moves = values.std(axis=0) > MOTION * expected
@@ -155,11 +168,12 @@ def check_sensors(rig: Rig, readings: ArrayLike, ranges: ArrayLike | None = None
         noisy = sensors[i].noise >= sensors[i].step / 2
         if same >= min(len(column), DEAD_TIME * rig.sample_rate) and (noisy or any(alike)):
             faults[i].append(f"dead: the same reading for {same / rig.sample_rate:.3g} s")
-        at_end = int((np.abs(column) >= AT_END * ends[i]).sum())
-        if at_end:
-            faults[i].append(
-                f"clipped: {at_end} samples at the end of the range, {ends[i]:.4g} {signals.unit(names[i])}"
-            )
+        for end, limit, where in ends:
+            if count := int(where[:, i].sum()):
+                samples = f"{count} sample{'s' if count > 1 else ''}"
+                faults[i].append(
+                    f"clipped: {samples} at the {end} end of the range, {limit[i]:.4g} {signals.unit(names[i])}"
+                )
         if noise[i] > NOISY * expected[i]:
             faults[i].append(f"noisy: {noise[i] / expected[i]:.1f} times the rig file's noise")
     judged = _compare(rig, values, expected, names, faults)

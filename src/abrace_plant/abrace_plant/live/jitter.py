@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 QUANTILES = {"median_us": 50.0, "p99_us": 99.0, "p999_us": 99.9, "p9999_us": 99.99, "worst_us": 100.0}
+EDGES = np.geomspace(0.1, 1e7, 161)
+"""Edges of a histogram's intervals [us], 20 a decade up to 10 s: the same in every run, so that counts can be added."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,11 @@ class Jitter:
         """Number of events, of missed ones, and quantiles [us]; a quantile that few events tell is their worst."""
         values = np.percentile(1e6 * self.times, list(QUANTILES.values()), method="higher").tolist()
         return {"events": len(self.times), "missed": self.missed, **dict(zip(QUANTILES, values, strict=True))}
+
+    def counts(self) -> list[int]:
+        """Events in each interval of `EDGES`; the first and the last also have those beyond their ends."""
+        found: list[int] = np.histogram(np.clip(1e6 * self.times, EDGES[0], EDGES[-1]), EDGES)[0].tolist()
+        return found
 
 
 @dataclass(frozen=True)
@@ -87,5 +94,10 @@ def bare_timer(period: float, duration: float) -> Jitter:
 
 
 def as_json(found: Mapping[str, Jitter], period: float, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """What is written: the `period` [s], the `settings`, and the statistics of each part `found`, by its name."""
-    return {"period": period, "settings": dict(settings), **{name: one.statistics() for name, one in found.items()}}
+    """What is written: `period` [s], `settings`, edges, and statistics and counts of each part `found`, by its name."""
+    return {
+        "period": period,
+        "settings": dict(settings),
+        "edges_us": EDGES.tolist(),
+        **{name: {**one.statistics(), "counts": one.counts()} for name, one in found.items()},
+    }

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,26 +13,25 @@ from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from abrace_plant.live.jitter import Jitter
-
-COLOURS = (MEASURED, REFERENCE, SIMULATED)
+COLOURS = {"rig": MEASURED, "timer": REFERENCE, "echo": SIMULATED}
 
 
-def jitter_figure(found: Mapping[str, Jitter], period: float) -> Figure:
-    """Histograms, and shares of events above each time, of every part `found`, by its name; `period` [s]."""
+def jitter_figure(content: Mapping[str, Any]) -> Figure:
+    """Histogram, and share of events above each time, of rig, timer and echo; `content`: that of a jitter.json."""
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     above, below = figure.subplots(2, sharex=True)
-    smallest = 1e-7
-    largest = max(float(one.times.max()) for one in found.values()) + smallest
-    edges = np.geomspace(smallest, largest, 80)
-    for (name, one), colour in zip(found.items(), COLOURS, strict=False):
-        times = np.sort(np.maximum(one.times, smallest))
-        above.hist(1e6 * times, 1e6 * edges, histtype="step", color=colour, label=name)
-        below.step(1e6 * times, 1 - np.arange(len(times)) / len(times), where="post", color=colour)
+    counts = np.array([content[name]["counts"] for name in COLOURS])
+    used = np.flatnonzero(counts.sum(axis=0))
+    edges = np.array(content["edges_us"])[used[0] : used[-1] + 2]
+    for (name, colour), each in zip(COLOURS.items(), counts[:, used[0] : used[-1] + 1], strict=True):
+        above.stairs(each, edges, color=colour, label=f"{name}, {content[name]['missed']} missed")
+        below.plot(edges, 1 - np.array([0, *each.cumsum()]) / each.sum(), color=colour)
     for axis in (above, below):
         axis.set_xscale("log")
         axis.set_yscale("log")
-        axis.axvline(1e6 * period, color=REFERENCE, linestyle=":", linewidth=1.0)
+        axis.axvline(1e6 * content["period"], color=REFERENCE, linestyle=":", linewidth=1.0)
+    above.set_ylim(bottom=0.8)
+    below.set_ylim(bottom=0.8 / counts.sum(axis=1).max())
     above.set_ylabel("events")
     below.set_ylabel("share of events above")
     below.set_xlabel("deviation [us]; dotted: the sample period")

@@ -7,7 +7,7 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
-from abrace_plant.devices.device import DeviceError
+from abrace_plant.devices.device import DeviceError, give_up
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,12 +50,7 @@ def command_zeros(device: Device, groups: int, samples: int, patience: float) ->
                 if time.monotonic() > latest:
                     raise
     except BaseException as error:
-        try:
-            device.make_safe()
-        except DeviceError as unsafe:
-            raise DeviceError(f"{error}; {unsafe}") from error
-        finally:
-            device.close()
+        give_up(device, error)
         raise
 
 

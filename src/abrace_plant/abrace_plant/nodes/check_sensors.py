@@ -19,7 +19,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_core.run import Run
-from abrace_plant.devices.device import Device
+from abrace_plant.devices.device import Device, Reading
 from abrace_plant.devices.file import load_device
 from abrace_plant.devices.sensor_check import check_sensors
 from abrace_plant.rig.file import load_rig
@@ -50,14 +50,17 @@ class CheckSensors(AbraceNode):
         rig = load_rig(find_file(given.rig, "abrace_plant", "config", ".yaml", "rig"))
         if bool(given.device) == bool(given.bag):
             raise AbraceError("parameters device, bag: expected one of them")
-        ranges = None
+        clipped, ranges = None, None
         if given.bag:
-            readings = recorded_readings(read_run(given.bag), rig)
+            recorded = read_run(given.bag)
+            readings = recorded_readings(recorded, rig)
+            clipped = None if recorded.clipped is None else recorded.clipped.tolist()
         else:
             device = load_device(find_file(given.device, "abrace_plant", "config/devices", ".yaml", "device"), rig)
             ranges = getattr(getattr(device, "calibration", None), "range", None)
-            readings = read_at_rest(device, rig, round(given.duration * rig.sample_rate))
-        found = check_sensors(rig, readings, ranges)
+            read = read_at_rest(device, rig, round(given.duration * rig.sample_rate))
+            readings, clipped = np.array([one.values for one in read]), [one.clipped for one in read]
+        found = check_sensors(rig, readings, clipped, ranges)
         print(found.text())
         if given.output:
             write_text(Path(given.output), json.dumps(asdict(found), indent=1) + "\n")
@@ -76,11 +79,11 @@ def recorded_readings(recorded: Run, rig: Rig) -> NDArray[np.float64]:
     return np.column_stack([others, recorded.forces, recorded.ground_acceleration])
 
 
-def read_at_rest(device: Device, rig: Rig, samples: int) -> NDArray[np.float64]:
-    """(samples, channels) of the device with zero force and the table at rest."""
+def read_at_rest(device: Device, rig: Rig, samples: int) -> list[Reading]:
+    """Readings of the device with zero force and the table at rest."""
     device.open()
     try:
-        return np.array([device.exchange([0.0] * rig.groups, 0.0).values for _ in range(samples)])
+        return [device.exchange([0.0] * rig.groups, 0.0) for _ in range(samples)]
     finally:
         device.make_safe()
         device.close()

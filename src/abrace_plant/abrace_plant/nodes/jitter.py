@@ -64,8 +64,9 @@ class JitterNode(AbraceNode):
             events, missed, *quantiles = one.statistics().values()
             print(f"{name:6s} {events:8d} {missed:7d} " + " ".join(f"{value:9.1f}" for value in quantiles))
         output = Path(given.output)
-        write_text(output / "jitter.json", json.dumps(as_json(found, period, settings), indent=1) + "\n")
-        save_figure(jitter_figure(found, period), output / "jitter.png")
+        content = as_json(found, period, settings)
+        write_text(output / "jitter.json", json.dumps(content, indent=1) + "\n")
+        save_figure(jitter_figure(content), output / "jitter.png")
         print(f"wrote {output}")
 
     def spin_until(self, over: Callable[[], object], deadline: float) -> None:

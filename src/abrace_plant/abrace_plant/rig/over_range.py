@@ -27,21 +27,23 @@ class OverRange:
 
     Attributes
     ----------
+    lowest, highest
+        (channels,) a reading below or above these is at the end of its channel's range.
     counts
         (channels,) such readings so far.
     """
 
     def __init__(self, channels: Sequence[Sensor]) -> None:
-        self._highest = np.array([sensor.highest - sensor.step / 2 for sensor in channels])
-        self._lowest = np.array([-sensor.range + sensor.step / 2 for sensor in channels])
+        self.highest = np.array([sensor.highest - sensor.step / 2 for sensor in channels])
+        self.lowest = np.array([-sensor.range + sensor.step / 2 for sensor in channels])
         self._above = np.zeros(len(channels), dtype=np.bool_)
         self._below = self._above.copy()
         self.counts: NDArray[np.int64] = np.zeros(len(channels), dtype=np.int64)
 
     def check(self, reading: NDArray[np.float64]) -> int:
         """The channels of a `reading` (channels,) that are at the end of their range, as bits: bit i for channel i."""
-        np.greater(reading, self._highest, out=self._above)
-        np.less(reading, self._lowest, out=self._below)
+        np.greater(reading, self.highest, out=self._above)
+        np.less(reading, self.lowest, out=self._below)
         np.logical_or(self._above, self._below, out=self._above)
         if TRUE not in self._above.tobytes():  # quicker than any() by half a microsecond
             return 0
