@@ -57,7 +57,7 @@ docs: tools .venv/.docs  ## the documentation as a site: docs/site/index.html
 	@$(ENVIRONMENT)
 	python -m sphinx --quiet --fail-on-warning --keep-going -j auto -b html docs docs/site
 
-reference: setup  ## regenerate the pages of docs that are made from the code (docs/write_*.py)
+reference: tools  ## regenerate the pages of docs that are made from the code (docs/write_*.py)
 	@$(ENVIRONMENT)
 	for page in docs/write_*.py; do python "$$page"; done
 

@@ -2,6 +2,7 @@
 """Safety, tried on running nodes over DDS: what may go wrong as cases, 20 runs each. For `make verify`.
 
 pairs, pairs_covered        states times events, and those of them that a real RigSafety takes where its table says
+interlocks, interlocks_tripped  those of the paper's rig, and those that a planted fault trips before any other one
 cases                       by name: runs, and those that passed
 worst_step_over_rate_limit  of all of them: the greatest change of a command between two samples over what is allowed,
                             also as it reaches the emulated actuators
@@ -29,6 +30,7 @@ from typing import TYPE_CHECKING, Any
 import rclpy
 from claims import Claim
 from controller_speed import SOURCE
+from interlock_margins import interlocks_tripped
 from isolation import isolated
 from machine_stalls import MachineStalls
 from running_graph import Graph
@@ -133,6 +135,7 @@ def safety(runs: int = RUNS, controller_runs: int = CONTROLLER_RUNS, only: tuple
     return {
         "pairs": pairs,
         "pairs_covered": covered,
+        **interlocks_tripped(),
         "cases": rows.found,
         "worst_step_over_rate_limit": max(rows.worst_step, failing.worst_step),
         "controller": failing.found,
@@ -144,6 +147,13 @@ def claims_of(found: dict[str, Any]) -> list[Claim]:
     counted = {**found["cases"], **{f"controller {name}": one for name, one in found["controller"].items()}}
     return [
         Claim("safety: states with every event", found["pairs_covered"], found["pairs"], "the table", least=True),
+        Claim(
+            "safety: interlocks tripped by their own fault",
+            found["interlocks_tripped"],
+            found["interlocks"],
+            "the paper's rig",
+            least=True,
+        ),
         *(
             Claim(
                 f"safety: {name.replace('_', ' ')}",

@@ -193,6 +193,18 @@ def test_a_missing_answer_ends_the_run_and_is_named(graph):
     assert [message.sequence for message in responses] == [0]
 
 
+@pytest.mark.parametrize("duration", [0.0, 1.0])
+def test_an_answer_to_an_earlier_run_neither_ends_nor_begins_the_next_one(graph, duration):
+    graph.start("plant", lockstep=True, wait_for=list(TOPICS[1:]), duration=duration)
+    responses = graph.listen(Response, "response")
+    graph.publisher(BraceCommand, "brace_command").publish(BraceCommand(run=1, sequence=9, force=[0.0]))
+    graph.until(
+        lambda: graph.values("plant").get("answers_to_unknown_samples") == "1", "the old answer in the diagnostics"
+    )
+    assert graph.state("plant") == "active"
+    assert not responses, "nobody plays the table's motion yet"
+
+
 def test_a_run_that_ends_with_a_fault_is_not_done(graph):
     graph.start("plant", lockstep=True, wait_for=["ground_motion"], duration=1.0, sensor_faults=["a1=stuck@0.2"])
     graph.start("ground_motion", record="white_noise", duration=4.0)

@@ -83,6 +83,11 @@ class Planted:
     tamper: Callable[[Array, int], None] | None = None
     built: Callable[[Rig], Rig] | None = None
 
+    @property
+    def begins(self) -> float:
+        """Second from which something is wrong."""
+        return START if self.fault or self.tamper else 0.0
+
     def without_cause(self) -> Planted:
         """The same rig file, and nothing wrong."""
         return Planted("nothing", "", self.limits)
@@ -282,3 +287,32 @@ def run_planted(rig: Rig, planted: Planted, seconds_after: float = 0.0) -> Ran:
         loop.receive_command(RUN, loop.sequence, [planted.force(time)] * rig.groups, "")
         loop.receive_ground_acceleration(sample.stamp, planted.table(time))
     return Ran(loop, safety, samples, velocities, trip)
+
+
+class Tripped(NamedTuple):
+    """What a planted cause did.
+
+    Parameters
+    ----------
+    message
+        The rig's message at the trip; empty: it did not trip.
+    seconds
+        From where something is wrong to the trip [s]; infinite: it did not trip.
+    alone
+        Whether the message names this interlock, and the rig does not trip without the cause.
+    """
+
+    message: str
+    seconds: float
+    alone: bool
+
+
+def tripped(rig: Rig, interlock: str) -> Tripped:
+    """What the planted cause of an `interlock` does to a `rig`."""
+    planted = PLANTED[interlock]
+    ran = run_planted(rig, planted)
+    if ran.trip < 0:
+        return Tripped("", math.inf, False)
+    message = ran.samples[ran.trip].cause
+    alone = names(message, interlock) and run_planted(rig, planted.without_cause()).trip < 0
+    return Tripped(message, ran.trip / rig.sample_rate - planted.begins, alone)

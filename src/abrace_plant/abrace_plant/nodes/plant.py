@@ -117,7 +117,8 @@ class Plant(RigNode):
     def answered(self) -> None:
         """In lockstep, take the next sample once every input of `wait_for` has answered."""
         super().answered()
-        if not self.lockstep or self.loop is None or self.loop.ended:
+        # before the first sample, which `tick` takes, there are only answers to an earlier run
+        if not self.lockstep or self.loop is None or self.loop.ended or self.loop.sequence < 0:
             return
         if self.due is not None and self.exit_code is None:
             for name in self.parameters.wait_for:
