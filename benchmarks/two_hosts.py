@@ -34,6 +34,7 @@ from joins import Node
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from machine_stalls import MachineStalls
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from udp_target import CONFIG
@@ -150,6 +151,9 @@ CASES = (
 )
 
 
+LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
 class Operator(Node):
     """Watches, starts the signal, presses and releases the stop button, clears: all from the other host."""
 
@@ -158,9 +162,10 @@ class Operator(Node):
             super().__init__("operator")
         self.link = link
         self.response = Response()
-        self.heard = 0.0
+        self.heard = self.shaken = 0.0
         self.status: dict[str, DiagnosticStatus] = {}
-        self.listen(Response, "response", self._on_response, raw=False)
+        # the last sample alone: what a busy machine lets wait would be old
+        self.node.create_subscription(Response, "response", self._on_response, LATEST)
         self.listen(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, raw=False)
         self.button = self.node.create_publisher(Bool, "/emergency_stop", TRANSIENT_LOCAL_QOS)
         names = ("controller", *RIG)
@@ -190,7 +195,8 @@ class Operator(Node):
     def ask(self, client: Any, request: Any) -> bool:
         """Call a service, again where its answer was lost; whether it succeeded."""
         self.wait(client.service_is_ready, client.srv_name)
-        answer, asked = client.call_async(request), time.monotonic()
+        begin = asked = time.monotonic()
+        answer = client.call_async(request)
 
         def answered() -> bool:
             nonlocal answer, asked
@@ -199,6 +205,8 @@ class Operator(Node):
             return answer.done()
 
         self.wait(answered, client.srv_name)
+        if (took := time.monotonic() - begin) > 1.0:
+            print(f"two hosts: {client.srv_name} answered after {took:.1f} s", file=sys.stderr, flush=True)
         return bool(answer.result().success)
 
     def all_there(self) -> None:
@@ -222,17 +230,20 @@ class Operator(Node):
         status = self.status.get(name)
         return next((entry.value for entry in status.values if entry.key == key), "") if status else ""
 
-    def force_on(self) -> None:
-        """Clear what is latched, have the table shake anew, and wait until the braces push."""
+    def shake(self) -> None:
+        """Clear what is latched, and have the table shake anew."""
         self.clear()
         for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
             self.take("ground_motion", transition)
-        shaken = time.monotonic() + 2.0
+        self.shaken = time.monotonic()
+
+    def until_pushing(self) -> None:
+        """Wait until the braces push; a fault before that, of a machine that is busy, is cleared."""
 
         def pushes() -> bool:
-            if self.response.state not in ACTING:  # a machine that is busy: once more
-                self.clear()
-            return time.monotonic() > shaken and abs(self.response.command[0]) > DRIVEN
+            if self.response.state not in ACTING:
+                self.shake()
+            return time.monotonic() > self.shaken + 2.0 and abs(self.response.command[0]) > DRIVEN
 
         self.wait(pushes, "force on")
 
@@ -263,9 +274,9 @@ class Operator(Node):
     def run(self, case: Case) -> dict[str, Any]:
         """One case: when it began and ended, by the clock that both hosts share, and what the commander said."""
         print(f"two hosts: {setting_of(case)}: {case.name}", file=sys.stderr, flush=True)
-        self.force_on()
+        self.shake()
         before = self.counts()
-        self.wait(lambda: abs(self.response.command[0]) > DRIVEN, "force on")
+        self.until_pushing()
         begin = time.monotonic()
         began = self.link.set(**case.conditions)
         if case.press:
