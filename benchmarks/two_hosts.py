@@ -253,13 +253,12 @@ class Operator(Node):
 
     def clear(self) -> None:
         """Clear every latched fault, as soon as that is accepted."""
-        running = [Response.RUNNING]
 
         def cleared() -> bool:
             for client in self.clears.values():
                 self.ask(client, Trigger.Request())
             self.for_seconds(0.1)
-            return self.response.state in running
+            return bool(self.response.state == Response.RUNNING)
 
         self.wait(cleared, "the faults to be cleared")
 
@@ -379,6 +378,8 @@ def measure(row: dict[str, Any], response: dict[str, np.ndarray]) -> dict[str, A
         zero = int(np.flatnonzero(released)[-1]) + 1 if released.any() else 0
         found |= {
             "fault_ms": float(since[fault]),
+            # of samples that the rig could not take: the ramp began meanwhile
+            "gap_ms": float(since[fault] - since[max(fault - 1, 0)]),
             "zero_ms": float(since[min(fault + zero, len(since) - 1)]),
             "force_at_fault": float(released[0]),
             # the command until the fault's sample was given before, and so was the one that begins with it
@@ -409,12 +410,13 @@ def problems(row: dict[str, Any]) -> list[str]:
         found.append("the force rose after the fault")
     if not row["at_zero_until_cleared"]:
         found.append("force on before the fault was cleared")
-    if abs(row["zero_ms"] - fault - 1e3 * RAMP_TIME) > 1e3 * MARGIN * PERIOD:
+    margin = 1e3 * MARGIN * PERIOD
+    if not 1e3 * RAMP_TIME - row["gap_ms"] - margin <= row["zero_ms"] - fault <= 1e3 * RAMP_TIME + margin:
         found.append(f"a ramp of {row['zero_ms'] - fault:.0f} ms")
     if case.expected == "fault":
         if not row["cause"].startswith("no brace_command for"):
             found.append(f"another cause: {row['cause']}")
-        if not timeout - 2e3 * PERIOD <= fault <= timeout + 1e3 * MARGIN * PERIOD:
+        if not timeout - 2e3 * PERIOD <= fault <= timeout + margin:
             found.append(f"a fault after {fault:.0f} ms")
     if case.expected == "stop":
         latest = STOP_PERIOD + (2 + MARGIN) * PERIOD + REPAIR * (REPAIRS if "loss" in case.conditions else 0)
