@@ -46,10 +46,10 @@ class MachineStalls:
             watch.wait()
         self._folder.cleanup()
 
-    def since(self, moment: float) -> list[float]:
-        """Durations [s] of the stalls since a `moment` of time.monotonic."""
+    def since(self, moment: float, end: float = float("inf")) -> list[float]:
+        """Durations [s] of the stalls since a `moment` of time.monotonic, or from it to an `end`."""
         lines = [line.split() for notes in self._notes for line in notes.read_text(encoding="utf-8").splitlines()]
-        return [float(duration) for end, duration in lines if float(end) > moment]
+        return [float(duration) for when, duration in lines if moment < float(when) < end]
 
 
 def watch(notes: Path) -> None:

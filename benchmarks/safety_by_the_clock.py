@@ -153,14 +153,16 @@ class Rig:
         graph = self.graph
         graph.until(lambda: self.last.state == Response.LATCHED, "all to be at rest")
         at_its_end = "displacement of the table" in self.last.cause
-        graph.until(self.cleared, "the rig to be cleared")
         if at_its_end:  # after many stops: a person moves the table to the middle, docs/interlocks.md
             self.take(self.name, "deactivate", "cleanup")
             if self.name == "sensor_bridge":
                 self.note_device()
                 graph.processes.stop("emulator")
                 self.start_target()
-            self.take(self.name, "configure", "activate")
+            self.take(self.name, "configure")
+        graph.until(self.cleared, "the rig to be cleared")
+        if at_its_end:
+            self.take(self.name, "activate")
         if self.commander == "controller":
             # where the stop left the table there may be no room for the record: a person moves it to the middle
             self.take("ground_motion", "deactivate", "cleanup", "configure", "activate")

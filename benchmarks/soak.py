@@ -11,6 +11,8 @@ wrong   10 000 messages of wrong content on every topic and service of every nod
 lockstep  the closed loop in lockstep, 20 minutes: memory of every node, and two runs that have to be the same
 campaign  one interrupted 20 times at random: results that are not those of one that was not
 fragility a study whose workers, scheduler and command are killed 20 times: files that are not those of one undisturbed
+hosts   controller and operator on another host than the rig, behind a link that is cut, delays and loses: cases that
+        went as docs/network.md promises; needs root
 joins   100 nodes that join a running rig and leave: how often it found no command in time
 viewer  10 minutes with a viewer of all samples at 500 Hz, and 10 without, in turns: samples lost, 99.9 % of the loop;
         then one loop, 10 minutes with the viewer without an interruption, 5 minutes before and 5 after without
@@ -33,11 +35,14 @@ from campaign_endurance import campaign_endurance
 from controller_speed import lqg3
 from ends import failures, measure
 from fragility_endurance import fragility_endurance
+from hosts import missing as no_hosts
 from isolation import isolated
 from joins import joins
 from lockstep_endurance import MEMORY_LIMIT, lockstep_endurance
 from logger_endurance import LOAD, cpu_seconds, flood_rates, running
 from operator_page import GROWTH_LIMIT, HOUR, memory
+from two_hosts import measured as two_hosts
+from two_hosts import table as hosts_table
 from viewer import RATIO_LIMIT, continuous, viewer_cost
 from wrong_endurance import CAPACITY, RATE_STEP
 from wrong_endurance import measure as wrong_messages
@@ -162,6 +167,7 @@ def main() -> int:
         logger |= flood_rates()
         ends = measure()
         joined = joins()
+        hosts: dict[str, Any] = {"not measured": no_hosts()} if no_hosts() else two_hosts()
         wrong = wrong_messages()
         lockstep = lockstep_endurance()
         campaign = campaign_endurance()
@@ -173,6 +179,7 @@ def main() -> int:
         "logger": logger,
         "ends": ends,
         "joins": joined,
+        "hosts": hosts,
         "wrong": wrong,
         "lockstep": lockstep,
         "campaign": campaign,
@@ -217,11 +224,14 @@ def main() -> int:
         ),
     )
     print(Table("Nodes in the long run", ("what", "reached", "asked"), endured).text())
+    if "rows" in hosts:
+        print(hosts_table(hosts["rows"]).text())
     print(viewer_table(viewer, uninterrupted).text())
     if page:
         print(page_table(page).text())
     missed = (
         joined["faults"],
+        hosts.get("as_promised") != hosts.get("cases"),
         wrong["not_finite"],
         wrong["greatest_force"] > CAPACITY,
         wrong["worst_step"] > RATE_STEP * (1 + 1e-12),

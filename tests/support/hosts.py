@@ -55,13 +55,16 @@ class Link:
     def __init__(self, path: Path | str) -> None:
         self._path = str(path)
 
-    def set(self, **conditions: float) -> None:
-        """Set the link's conditions: `delay`, `jitter` [s], `loss` (share), `cut`; those not given are reset."""
+    def set(self, **conditions: float) -> int:
+        """Set the link's conditions: `delay`, `jitter` [s], `loss` (share), `cut`; those not given are reset.
+
+        Returns the moment from which they hold, as time.time_ns.
+        """
         with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
             asking.bind(f"{folder}/answer")
             asking.settimeout(5.0)
             asking.sendto(json.dumps(conditions).encode(), self._path)
-            asking.recv(16)
+            return int(asking.recv(32))
 
 
 def on(host: int) -> list[str]:

@@ -5,7 +5,8 @@
 
 Each end is a TAP device in the namespace of a process, by its number; frames pass from one to the other through this
 program. The Unix datagram socket takes conditions as JSON, {"delay": s, "jitter": s, "loss": share, "cut": bool}, with
-defaults of zero and false, and answers when they are in effect. (netem is not available in every kernel.)
+defaults of zero and false, and answers with the moment [ns] from which they hold. (netem is not available in every
+kernel.)
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ def main() -> None:
             if conditions.get("cut"):
                 for direction in directions:
                     direction.lose()
-            control.sendto(b"ok", sender)
+            control.sendto(str(time.time_ns()).encode(), sender)
         now = time.monotonic()
         for direction in directions:
             if direction.source in readable:

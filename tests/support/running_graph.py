@@ -77,7 +77,8 @@ LEADS_TO = {
     "cleanup": "unconfigured",
     "shutdown": "finalized",
 }
-STREAM = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+STREAM = QoSProfile(depth=50_000, reliability=ReliabilityPolicy.RELIABLE)
+"""What a busy machine lets wait is kept: a lockstep rig does not wait for who only listens."""
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
