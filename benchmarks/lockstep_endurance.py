@@ -18,8 +18,9 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 from controller_speed import lqg3
 from isolation import isolated
 from running_graph import Graph, graph_of_its_own
@@ -29,12 +30,16 @@ from abrace_core.node.conventions import LOCKSTEP_STREAM_QOS
 from abrace_core.wire import LAST, Responses, read_header
 from abrace_interfaces.msg import Response
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
 SECONDS = 1200.0
 MOST_SAMPLES = 10 * 3600 * 500
 MEMORY_LIMIT = 1.0
 """MB that a node may grow by after SETTLED."""
 SETTLED = 60.0
-LOOK_PERIOD = 2.0
+LOOK_AFTER = 1000
+"""Samples after which the memory is looked at."""
 BLOCK = 10_000
 SEQUENCE_SIZE = RUN_SIZE = 8
 """Bytes of the first two fields after the header; the second one differs between two runs."""
@@ -73,7 +78,35 @@ def resident_mb(process: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-def _run_in_lockstep(graph: Graph, seconds: float) -> dict[str, Any]:
+class Look(NamedTuple):
+    """Memory of the nodes at one moment.
+
+    Parameters
+    ----------
+    run
+        1 or 2.
+    seconds
+        Since the first run began.
+    samples
+        So far, of both runs.
+    memory
+        By node [MB].
+    """
+
+    run: int
+    seconds: float
+    samples: int
+    memory: dict[str, float]
+
+
+def grown_mb(looks: Sequence[Look]) -> dict[str, float]:
+    """By node, greatest less smallest memory [MB]."""
+    names = looks[0].memory if looks else ()
+    return {name: float(np.ptp([look.memory[name] for look in looks])) for name in names}
+
+
+def run_in_lockstep(graph: Graph, seconds: float, samples: int) -> tuple[list[Look], dict[str, Any]]:
+    """Two runs, together of so many `seconds` or `samples`, whichever is less: memory, and what is listed above."""
     save_controller(lqg3(), graph.folder / "lqg3.yaml")
     inputs = ["brace_command", "ground_motion"]
     graph.start("plant", lockstep=True, wait_for=inputs, autostart=False)
@@ -84,25 +117,22 @@ def _run_in_lockstep(graph: Graph, seconds: float) -> dict[str, Any]:
     watch = Watch(graph)
     graph.until_matched("plant", response=3, ground_motion=1, brace_command=1)
     assert graph.change_state("ground_motion", "activate")
-    memory: dict[str, list[float]] = {name: [] for name in graph.started}
+    looks: list[Look] = []
     begun = time.monotonic()
     for run in (1, 2):
         assert graph.change_state("plant", "activate")
-        end = begun + run * seconds / 2
-        while time.monotonic() < end and watch.samples < run * MOST_SAMPLES / 2:
-            look = time.monotonic() + LOOK_PERIOD
-            graph.until(lambda look=look: time.monotonic() > look, "some seconds")  # type: ignore[misc]
-            if look > begun + SETTLED:
-                for name, process in graph.started.items():
-                    memory[name].append(resident_mb(process.group))
+        while time.monotonic() < begun + run * seconds / 2 and watch.samples < run * samples / 2:
+            count = watch.samples + LOOK_AFTER
+            graph.until(lambda count=count: watch.samples >= count, "samples")  # type: ignore[misc]
+            memory = {name: resident_mb(process.group) for name, process in graph.started.items()}
+            looks.append(Look(run, time.monotonic() - begun, watch.samples, memory))
         assert graph.change_state("plant", "deactivate")
         graph.until(lambda run=run: watch.ended == run, "the last sample")  # type: ignore[misc]
     first, second = watch.runs
-    return {
+    return looks, {
         "samples": watch.samples,
         "lost": watch.lost,
         "seconds": time.monotonic() - begun,
-        "grown_mb": {name: max(used, default=0.0) - min(used, default=0.0) for name, used in memory.items()},
         "compared": BLOCK * min(len(first), len(second)),
         "different": sum(one != other for one, other in zip(first, second, strict=False)),
     }
@@ -111,7 +141,8 @@ def _run_in_lockstep(graph: Graph, seconds: float) -> dict[str, Any]:
 def lockstep_endurance(seconds: float = SECONDS) -> dict[str, Any]:
     """All of it; call it on a domain of one's own."""
     with graph_of_its_own("/lockstep") as graph:
-        return _run_in_lockstep(graph, seconds)
+        looks, found = run_in_lockstep(graph, seconds, MOST_SAMPLES)
+    return {**found, "grown_mb": grown_mb([look for look in looks if look.seconds > SETTLED])}
 
 
 if __name__ == "__main__":

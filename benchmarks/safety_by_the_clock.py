@@ -224,7 +224,9 @@ class Rig:
         deadline = since + within + 20
         self.graph.until(lambda: self.last.sequence >= deadline, "the force to be zero")
         late = [one for one in self.responses if one.sequence > since + within]
-        assert not any(one.command[0] for one in late), f"force on {within} samples after sample {since}"
+        assert not any(one.command[0] for one in late), (
+            f"force on {within} samples after sample {since}; {self.last.cause}"
+        )
         self.note_device()
         assert self.worst_step_at_device <= 1.0, "a step beyond the rate limit at the device"
         assert worst_step(self.responses) <= 1.0, "a step beyond the rate limit"

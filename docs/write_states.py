@@ -77,6 +77,10 @@ processors busy, cases by the clock fail now and then: samples or answers are la
 lockstep (`python benchmarks/lockstep_endurance.py`): no node may grow by 1 MB after the first minute, and two runs have
 to give the same bytes.
 
+`make test` has a short form of each: one run of killed, stopped and flooding behind bridge and emulator, 100 wrong
+messages of each kind, 11 000 samples of lockstep with at most 0.2 MB in the last 4000, and four
+[interlocks](planted_causes.md) tripped on the running node.
+
 A rig whose loop was delayed begins its ramp when it detects the delay: the time before does not count, and during the
 ramp no step of force exceeds the rate limit, however many samples are missed.
 """
