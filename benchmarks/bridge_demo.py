@@ -174,6 +174,7 @@ def bridge_demo(seconds: float = SECONDS, rate: float = RATE, priority: int = PR
                 "emulator": json.loads(Path("emulator.json").read_text(encoding="utf-8")),
             }
         finally:
+            watch.executor_of_work.shutdown()  # which would keep it in the graph, where the next one meets a namesake
             watch.destroy_node()
             rclpy.try_shutdown()
 

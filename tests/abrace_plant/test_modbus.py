@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Modbus device against pymodbus's own server: LabJack's T7 by its register map."""
 
+import contextlib
 import dataclasses
 import json
 import socket
@@ -407,28 +408,32 @@ def test_a_link_that_is_cut_is_an_error_within_the_time_out_and_the_device_is_ma
     with (
         hosts.two_hosts() as (first, second, control),
         subprocess.Popen([*hosts.on(first), *emulator], **pipes) as target,
+        contextlib.ExitStack() as stack,
     ):
+        stack.callback(target.terminate)
         assert target.stdout.readline() == f"{TICKING}\n"
-        with subprocess.Popen([*hosts.on(second), sys.executable, "-c", HALF_OPEN, path, rig], **pipes) as driver:
+        driver = stack.enter_context(
+            subprocess.Popen([*hosts.on(second), sys.executable, "-c", HALF_OPEN, path, rig], **pipes)
+        )
 
-            def next_step():
-                print(file=driver.stdin, flush=True)
-                return json.loads(driver.stdout.readline())
+        def next_step():
+            print(file=driver.stdin, flush=True)
+            return json.loads(driver.stdout.readline())
 
-            assert json.loads(driver.stdout.readline()) == ["driven", 0.0]
-            link = hosts.Link(control)
-            link.set(cut=True)
-            error, seconds = next_step()
-            assert "write registers 1000 to 1003: no answer within 100 ms" in error
-            assert seconds < 0.1 + 0.5, "the time-out"
-            error, seconds = next_step()
-            assert "not made safe within 2 s, its outputs stay as they are" in error
-            assert seconds < SAFE_TIME + RAMP_TIME + 0.5
-            link.set()
-            error, seconds = next_step()
-            assert error == "", "it is made safe"
-            next_step()
-        target.terminate()
+        assert json.loads(driver.stdout.readline()) == ["driven", 0.0]
+        link = hosts.Link(control)
+        link.set(cut=True)
+        error, seconds = next_step()
+        assert "write registers 1000 to 1003: no answer within 100 ms" in error
+        assert seconds < 0.1 + 0.5, "the time-out"
+        error, seconds = next_step()
+        assert "not made safe within 2 s, its outputs stay as they are" in error
+        assert seconds < SAFE_TIME + RAMP_TIME + 0.5
+        link.set()
+        error, seconds = next_step()
+        assert error == "", "it is made safe"
+        next_step()
+        stack.close()
         report = json.loads(target.stdout.read())
     assert report["worst_force"] == pytest.approx(10e3, rel=0.01)
     assert report["worst_step"] < 2000.0

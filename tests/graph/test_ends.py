@@ -46,6 +46,35 @@ def test_signals_end_every_node_cleanly_and_the_bag_is_closed(graph, number, sto
     assert sum(len(run.outputs) for run in read_runs(bag)) > 100
 
 
+HANGING = """
+import threading
+from abrace_plant.devices.simulated import SimulatedRig
+
+class Hanging(SimulatedRig):
+    def make_safe(self):
+        threading.Event().wait()
+
+def load(path, rig):
+    return Hanging(rig, 1, by_the_clock=True)
+"""
+
+
+def test_a_device_that_hangs_while_it_is_made_safe_ends_the_node_with_code_1_and_one_line(graph, tmp_path, monkeypatch):
+    (tmp_path / "hanging.py").write_text(HANGING)
+    (tmp_path / "hanging-1.dist-info").mkdir()
+    (tmp_path / "hanging-1.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: hanging\nVersion: 1\n")
+    (tmp_path / "hanging-1.dist-info/entry_points.txt").write_text("[abrace.devices]\nhanging = hanging:load\n")
+    (tmp_path / "device.yaml").write_text("kind: hanging\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    responses = graph.listen(Response, "response")
+    graph.start("sensor_bridge", device=str(tmp_path / "device.yaml"))
+    graph.until(lambda: responses, "samples")
+    assert graph.stop("sensor_bridge") == 1, graph.output_of("sensor_bridge")
+    graph.until(lambda: responses[-1].flags & Response.LAST, "the last sample: the rig itself has come to rest")
+    (line,) = (line for line in graph.output_of("sensor_bridge") if "ERROR" in line or "FATAL" in line)
+    assert line.endswith("not at rest after 3.16 s: the device was not made safe")
+
+
 def test_a_run_by_the_clock_ends_though_its_last_sample_was_missed(graph):
     responses = graph.listen(Response, "response")
     graph.start("plant", duration=4.0, autostart=False)

@@ -7,6 +7,7 @@ import random
 
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rosgraph_msgs.msg import Clock
 from wrong_endurance import CAPACITY, RATE_STEP, wrong_endurance
 
 
@@ -21,3 +22,22 @@ def test_nothing_wrong_reaches_the_device_and_no_node_dies(graph):
     (refused,) = graph.call(SetParameters, "plant/set_parameters", nothing).results
     assert not refused.successful
     assert "seed: type 200" in refused.reason
+
+
+def test_a_wrong_time_on_clock_ends_no_node_that_uses_it_and_is_counted(graph):
+    """A life cycle node, whose loop has the time, and one with a single thread."""
+    graph.start("plant", use_sim_time=True)
+    graph.start("logger", output=str(graph.folder / "bag"), use_sim_time=True)
+    clock = graph.publisher(Clock, "/clock", subscribers=2)
+    wrong, right = Clock(), Clock()
+    wrong.clock.sec, right.clock.sec = -1, 12345
+    for name in ("plant", "logger"):
+
+        def counted(name=name):
+            clock.publish(wrong)
+            clock.publish(right)
+            return graph.values(name).get("ignored messages of /clock", "0") not in ("0", "1")
+
+        graph.until(counted, f"{name} to count")
+        (line,) = (line for line in graph.output_of(name) if "/clock" in line)
+        assert line.endswith("/clock: time of -1 s, expected 0 or more: this and later ones are ignored")

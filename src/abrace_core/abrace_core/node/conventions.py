@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from types import FrameType
 from typing import Any, cast
 
@@ -28,6 +29,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.time_source import CLOCK_TOPIC
 
 from abrace_core.errors import AbraceError
 from abrace_core.node.parameters import Parameter, as_given, declare, parameter_help, refuse_unknown_types
@@ -119,6 +121,8 @@ class AbraceNode(Node):
     remedy = ""
     """Instruction for clearing the node's faults, for the log."""
 
+    _wrong_times = 0
+    """Messages on `/clock` that were ignored."""
     describing = False
     """Whether creating a node raises `Described` instead, for `--help`."""
 
@@ -180,6 +184,24 @@ class AbraceNode(Node):
         """
         return lambda: None
 
+    def create_subscription(
+        self, msg_type: type, topic: str, callback: Callable[[Any], None], qos_profile: QoSProfile | int, **options: Any
+    ) -> Subscription:
+        """Create a subscription; that of rclpy to the time, for `use_sim_time`, must survive a wrong time."""
+        if topic == CLOCK_TOPIC and not options.get("raw"):
+            callback = partial(self._set_time, callback)
+        return super().create_subscription(msg_type, topic, callback, qos_profile, **options)
+
+    def _set_time(self, set_time: Callable[[Any], None], message: Any) -> None:
+        try:
+            set_time(message)
+        except ValueError:
+            self._wrong_times += 1
+            if self._wrong_times == 1:
+                self.get_logger().error(
+                    f"{CLOCK_TOPIC}: time of {message.clock.sec} s, expected 0 or more: this and later ones are ignored"
+                )
+
     def publish_on(self, message_type: type, topic: str, qos: QoSProfile) -> Publisher:
         """Create a publisher that is flushed at the end; the diagnostics show its number of subscribers."""
         publisher = self.create_publisher(message_type, topic, qos)
@@ -221,6 +243,8 @@ class AbraceNode(Node):
         if fault != self.reported_fault:
             self._log_fault(fault)
         values.update((name, count()) for name, count in self._endpoint_counts)
+        if self._wrong_times:
+            values[f"ignored messages of {CLOCK_TOPIC}"] = self._wrong_times
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if fault else DiagnosticStatus.OK,
             name=f"{self.get_fully_qualified_name().lstrip('/')}: state",
