@@ -110,7 +110,7 @@ class NodeReports(dict[str, NodeReport]):
             self.keep(f"/{name.lstrip('/')}", status.message, status.level != OK, values, now)
 
     def keep(self, name: str, message: str, failed: bool, values: Mapping[str, str], heard: float) -> None:
-        """Keep what the node `name` has reported; the other arguments are those of `NodeReport.after`."""
+        """Keep what the node `name` has reported; the other arguments as in `NodeReport.after`."""
         before = self.get(name)
         if before is None and len(self) >= MOST_NODES:
             del self[min(self, key=lambda known: self[known].heard)]
