@@ -42,7 +42,7 @@ class Device(Protocol):
         Raises
         ------
         AbraceError
-            If it is not there. It is closed, and what it was reached for has been made safe as far as possible.
+            If it is not there, or cannot be used: it is closed, and made safe before that as far as it was reached.
         """
         ...
 
