@@ -48,6 +48,11 @@ def test_what_is_no_run_of_samples_is_refused(sequences, expected):
         arrivals(sequences, {}).jitter()
 
 
+def test_samples_of_any_number_are_no_run():
+    with pytest.raises(AbraceError, match="restarted"):
+        Arrivals([0, PERIOD, 2 * PERIOD], [0, PERIOD, 2 * PERIOD], [0, 2**64 - 1, 1]).jitter()
+
+
 def test_a_bare_timer_is_never_early_and_the_figure_takes_a_part_without_deviations():
     timer = bare_timer(0.001, 0.05)
     assert len(timer.times) == 50
