@@ -7,7 +7,8 @@ graph   10 minutes of the closed loop in real time at 500 Hz (plant, ground moti
 flood   the highest rate of one topic at which the logger loses nothing, against a subscription that writes nothing
 ends    200 nodes of all kinds interrupted twice at random moments; where there is `ros2 launch` 50 launches with wrong
         arguments and 50 that get SIGTERM at random moments: crashes, exit codes, nodes left behind
-wrong   10 000 messages of wrong content on every topic and service of every node that streams
+wrong   10 000 messages of wrong content on every topic and service of every node, of the rig behind the bridge also
+        what reaches the emulated device
 lockstep  the closed loop in lockstep, 20 minutes: memory of every node, and two runs that have to be the same
 campaign  one interrupted 20 times at random: results that are not those of one that was not
 fragility a study whose workers, scheduler and command are killed 20 times: files that are not those of one undisturbed
@@ -203,12 +204,13 @@ def main() -> int:
     print(Table("How nodes and launches end", ("what", "", "count"), counts).text())
     joining = tuple((name.replace("_", " "), f"{value:g}") for name, value in joined.items())
     print(Table("Nodes that join a running rig", ("what", "reached"), joining).text())
-    grown = lockstep["grown_mb"]
+    grown, at_device = lockstep["grown_mb"], {name.replace("_", " "): one for name, one in wrong["at_device"].items()}
     endured = (
         ("faults of a rig that nodes join", f"{joined['faults']}", "0"),
         (f"what acted that was not finite, after {wrong['messages']} wrong messages", f"{wrong['not_finite']}", "0"),
         ("greatest force then, N", f"{wrong['greatest_force']:.0f}", f"{CAPACITY:.0f}"),
         ("greatest step then, N", f"{wrong['worst_step']:.0f}", f"{RATE_STEP:.0f}"),
+        *((f"{what} at the emulated device, of its limit", f"{share:.6f}", "1") for what, share in at_device.items()),
         ("nodes that died of them", f"{wrong['died']}", "0"),
         *((f"memory of {name}, MB more after the first minute", f"{mb:.2f}", "1") for name, mb in grown.items()),
         (f"differences between two runs of {lockstep['compared']} samples", f"{lockstep['different']}", "0"),
@@ -235,6 +237,7 @@ def main() -> int:
         wrong["not_finite"],
         wrong["greatest_force"] > CAPACITY,
         wrong["worst_step"] > RATE_STEP * (1 + 1e-12),
+        max(at_device.values()) > 1 + 1e-9,
         wrong["died"],
         max(grown.values()) > MEMORY_LIMIT,
         lockstep["different"],

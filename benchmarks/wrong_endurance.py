@@ -1,11 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Endurance of the nodes that stream: messages of right types and wrong content on every topic and service of each.
+"""Endurance of all nodes: messages of right types and wrong content on every topic and service that their graph has.
+
+One graph with all nodes around `sensor_bridge`, whose device is the emulator, and a viewer's client and an operator's
+page that are open; another with `plant` and those that drive it. Offline programs are in neither: they subscribe to
+nothing and offer no service.
 
 topics, services, messages  how many were tried, and the messages of all
-not_finite                  samples at which what acted was not finite
+samples, acting             of the rigs, and those of them with a force
+faults                      times that they were stopped by these messages, and made to act again
+not_finite                  samples at which what acted was not finite, and commands at the emulator
 greatest_force, worst_step  of what acted [N], the latter in a sample period; capacity and rate limit allow 24516.625
                             and 10000
 worst_between               the two samples between which it changed most
+at_device                   greatest command at the emulator before it limits that, of force or table, over the greatest
+                            that the rig has; greatest step from tick to tick, of force over the rate limit, of the
+                            table over its limit of jerk: 1 is allowed
 died                        nodes; the measurement ends where one does
 
 python benchmarks/wrong_endurance.py [MESSAGES]    # on each topic and service
@@ -13,89 +22,287 @@ python benchmarks/wrong_endurance.py [MESSAGES]    # on each topic and service
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import random
+import re
+import shutil
 import sys
-from typing import Any
+import threading
+import time
+from typing import TYPE_CHECKING, Any
 
-from geometry_msgs.msg import AccelStamped
+from bag_of_run import write_bag
+from controller_speed import lqg3
+from emulated_target import TICKING, EmulatedTarget
+from foxglove_client import FoxgloveClient
 from isolation import isolated
-from rcl_interfaces.srv import ListParameters
-from running_graph import Graph, graph_of_its_own
-from wrong_messages import WrongMessages
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from operator_page import page_address
+from running_graph import STREAMING, TRANSITIONS, graph_of_its_own
+from safety_by_the_clock import TARGET_PRIORITY
+from std_srvs.srv import Trigger
+from tornado.httpclient import HTTPRequest
+from tornado.websocket import websocket_connect
+from udp_target import CONFIG, RIG, device_file
+from wrong_messages import UNSERVED, WrongMessages
 
-from abrace_interfaces.msg import BraceCommand, Response
+from abrace import simulate
+from abrace_core.controller_file import save_controller
+from abrace_core.progress import Progress
+from abrace_core.safety.rig_safety import ACTING
+from abrace_core.table_signals import table_noise
+from abrace_interfaces.msg import Response
+
+if TYPE_CHECKING:
+    from running_graph import Graph
 
 CAPACITY, RATE_STEP = 24516.625, 5.0e6 / 500
 MESSAGES = 10_000
-NODES = ("plant", "ground_motion", "excitation", "controller")
+OFFLINE = {
+    "ambient",
+    "characterize",
+    "check_sensors",
+    "design",
+    "emulator",
+    "explore",
+    "identify",
+    "record",
+    "recover",
+    "robot_description",
+    "validate",
+}
+"""Programs that subscribe to nothing and offer no service."""
+LONG = 1e5
+"""Seconds that no measurement lasts."""
+REPLAYED = ("/replayed/", "/stepped/")
+"""Beginnings of the topics of the replay by the clock, and of that in lockstep."""
+AT_ITS_END = "displacement of the table"
+"""Cause of the fault of a table that a person has to move to the middle."""
 
 
-def wrong_endurance(graph: Graph, messages: int, requests: int, chance: random.Random) -> dict[str, Any]:
-    """So many `messages` on each topic and `requests` of each service of a plant and all that command it."""
-    from controller_speed import lqg3
+class Bridge:
+    """The emulator and its device file, with a calibration that may be written."""
 
-    from abrace_core.controller_file import save_controller
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        parts = CONFIG / "device_parts"
+        self.file = device_file(graph.folder, timeout=0.02, calibrated=True)
+        shutil.copy(parts / "calibration.yaml", graph.folder)
+        text = self.file.read_text(encoding="utf-8")
+        self.file.write_text(text.replace(f"calibration: {parts}/", "calibration: "), encoding="utf-8")
+        self.found = {"command": 0.0, "step": 0.0, "table_step": 0.0}
+        self.not_finite = 0
+        self.start()
 
-    save_controller(lqg3(), graph.folder / "lqg3.yaml")
-    graph.by_the_clock = True
-    graph.start("plant")
-    graph.start("excitation", rms=3000.0, duration=600.0)
-    graph.start("ground_motion", record="white_noise", rms=0.1, duration=100.0)
+    def start(self) -> None:
+        """Start the emulator, its table in the middle."""
+        self.target = EmulatedTarget(self.file, priority=TARGET_PRIORITY)
+        process = self.graph.processes.start("emulator", self.target.command, self.graph.folder / "emulator.log")
+        self.graph.until(lambda: TICKING in process.last_lines(), "the emulator")
+
+    def note(self) -> None:
+        """Keep the greatest values so far."""
+        report = self.target.report()
+        table_step = report["worst_table_step"] * RIG.sample_rate / RIG.table.peak_jerk
+        for name, value in (
+            ("command", report["worst_command"]),
+            ("step", report["worst_step_over_rate_limit"]),
+            ("table_step", table_step),
+        ):
+            self.found[name] = max(self.found[name], value)
+        self.not_finite += report["dropped"].get("not_finite", 0)
+
+    def start_again(self) -> None:
+        """A person has moved the table to the middle."""
+        self.note()
+        self.graph.processes.stop("emulator")
+        self.start()
+
+
+class Driven:
+    """A rig and those that drive it, and a person who knows no better than to make it act again."""
+
+    def __init__(self, graph: Graph, name: str, wrong: WrongMessages) -> None:
+        self.graph, self.name, self.wrong = graph, name, wrong
+        graph.by_the_clock = True
+        self.bridge = Bridge(graph) if name == "sensor_bridge" else None
+        graph.start(name, **({"device": str(self.bridge.file)} if self.bridge else {}))
+        graph.start("excitation", rms=3000.0, duration=3600.0)
+        graph.start("ground_motion", record="white_noise", rms=0.1, duration=3600.0, band=[0.3, 10.0])
+
+    def acts(self) -> bool:
+        """Whether commands act; if not they are made to."""
+        self.go_on()
+        rig = self.wrong.rig
+        return rig.state in ACTING and any(rig.command)
+
+    def go_on(self) -> None:
+        """Clear what there is, and play the signals again if they are over."""
+        self.wrong.spin(0.01)
+        if self.wrong.rig.state not in ACTING:
+            self.wrong.until(lambda: self.wrong.rig.state != Response.RAMPING_DOWN, "the rig to come to rest")
+            if AT_ITS_END in self.wrong.rig.cause:
+                self.move_table()
+            for name in STREAMING[::-1]:
+                if name in self.graph.started:
+                    self.clear_fault(name)
+            self.wrong.spin(0.01)
+        if self.wrong.rig.state in ACTING and not any(self.wrong.rig.command):
+            self.take("excitation", "deactivate", "activate")
+            self.take("ground_motion", "deactivate", "cleanup", "configure", "activate")
+
+    def move_table(self) -> None:
+        """Move the table to the middle, as docs/interlocks.md says."""
+        self.take(self.name, "deactivate", "cleanup")
+        if self.bridge:
+            self.bridge.start_again()
+        self.clear_fault(self.name)
+        self.take(self.name, "configure", "activate")
+
+    def take(self, name: str, *transitions: str) -> None:
+        """Take a node through transitions, as far as it goes."""
+        for transition in transitions:
+            request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
+            self.wrong.call(ChangeState, f"{name}/change_state", request)
+
+    def clear_fault(self, name: str) -> None:
+        """Clear the fault of a node, if it can be cleared."""
+        self.wrong.call(Trigger, f"{name}/clear_fault", Trigger.Request())
+
+
+def start_others(graph: Graph, wrong: WrongMessages) -> None:
+    """All other nodes, each where it has something to do."""
+    folder = graph.folder
+    save_controller(lqg3(), folder / "lqg3.yaml")
     # two senders are a fault: the controller receives the rig's samples, but its own commands reach no node
-    graph.start("controller", "--params-file", graph.folder / "lqg3.yaml", "-r", "brace_command:=unheard")
-    fuzz = WrongMessages(graph, chance)
-    graph.until(lambda: len(graph.statuses) == len(NODES), "all nodes")
+    graph.start("controller", "--params-file", folder / "lqg3.yaml", "-r", "brace_command:=unheard")
+    # called otherwise, so that the supervisor waits for a logger
+    graph.start("logger", name="recorder", output=str(folder / "bag"))
+    unheard = ("-r", "response:=spare/response", "-r", "brace_command:=spare/brace_command")
+    graph.start("excitation", *unheard, name="spare", autostart=False)
+    graph.start("supervisor", inputs=["brace_command=spare"], plant=False, patience=LONG)
+    graph.start("jitter", duration=LONG, patience=LONG)
+    graph.start("operator", port=0)
+    graph.start("viewer", port=0, page_port=0, response=f"{graph.namespace}/response", operate=True)
+    write_bag(simulate("ncree_three_storey", table_noise(1000, 500.0, (0.5, 10.0), 0.1, 1)), folder / "replayed")
+    slow: dict[str, Any] = {"bag": str(folder / "replayed"), "loop": True, "rate": 0.02}
+    graph.start("replay", "-r", f"/response:={REPLAYED[0]}response", **slow)
+    lockstep = {"lockstep": True, "lockstep_timeout": LONG}
+    graph.start("replay", "-r", f"/response:={REPLAYED[1]}response", name="stepping", **slow, **lockstep)
+    for name in REPLAYED:
+        wrong.listen(f"{name}response")
 
-    def go_on() -> None:
-        """Let the rig act again, as a person would that knows no better."""
-        for name in ("excitation", "ground_motion", "controller", "plant"):
-            graph.clear_fault(name)
-        if fuzz.last is not None and fuzz.last.state == Response.RUNNING:
-            for transition in ("deactivate", "activate"):
-                graph.change_state("excitation", transition)
 
-    def running() -> bool:
-        """Whether commands act, with some patience."""
-        acting = (Response.RUNNING, Response.FADING_IN)
-        if fuzz.last is None or fuzz.last.state not in acting:
-            go_on()
-        return fuzz.last is not None and fuzz.last.state in acting
+def open_pages(graph: Graph, wrong: WrongMessages) -> None:
+    """A client of the viewer and a page of the operator, in a process of their own."""
+    (line,) = graph.until(lambda: [one for one in graph.output_of("viewer") if "ws://" in one], "the viewer")
+    port, token = re.search(r":(\d+)/\?token=(.*)", line.rpartition("ws://")[2]).groups()  # type: ignore[union-attr]
+    command = [sys.executable, __file__, "watch", port, token, page_address(graph)]
+    graph.started["watcher"] = graph.processes.start("watcher", command, graph.folder / "watcher.log")
+    graph.until(lambda: int(graph.values("viewer").get("samples", 0)), "the viewer to show samples")
+    graph.until(lambda: graph.values("operator").get("pages") == "1", "the page")
+    subscribed = f"{graph.namespace}/robot_description"
+    wrong.until(lambda: wrong.node.count_subscribers(subscribed), "the viewer to show every topic")
 
-    graph.until(running, "the rig to run")
-    topics = {"brace_command": BraceCommand, "ground_motion": AccelStamped, "response": Response}
-    for topic, kind in topics.items():
-        fuzz.send(kind, topic, messages, go_on)
-    sent, services = len(topics) * messages, 0
-    for name in NODES:
-        listed = graph.call(ListParameters, f"{name}/list_parameters", ListParameters.Request())
-        for service, service_type in fuzz.services(name):
-            fuzz.ask(service, service_type, requests, list(listed.result.names))
-            services += 1
-            sent += requests
-    # each of them still does what it is for
-    graph.until(running, "the rig to run")
-    return {
-        "topics": len(topics),
-        "services": services,
-        "messages": sent,
-        "samples": fuzz.samples,
-        "not_finite": fuzz.not_finite,
-        "greatest_force": fuzz.greatest,
-        "worst_step": fuzz.worst_step,
-        "worst_between": fuzz.worst_between,
-        "died": sum(process.returncode is not None for process in graph.started.values()),
-    }
+
+def watch(port: str, token: str, page: str) -> None:
+    """Show every topic in the viewer but those that are replayed, and keep the operator's page open.
+
+    A replay ends where somebody else publishes its samples, as we do on every topic with a subscriber.
+    """
+
+    async def keep_open() -> None:
+        headers = {"Origin": page.rstrip("/")}
+        live = await websocket_connect(HTTPRequest(page.replace("http", "ws") + "live", headers=headers))
+        await live.write_message('{"token": ""}')
+        while (message := await live.read_message()) is not None:
+            content = json.loads(message)
+            if "number" in content:
+                await live.write_message(json.dumps({"got": content["number"]}))
+
+    threading.Thread(target=lambda: asyncio.run(keep_open()), daemon=True).start()
+    with FoxgloveClient(int(port), token) as client:
+        shown: set[str] = set()
+        while True:
+            time.sleep(0.2)
+            new = {name for name in client.channels if not name.startswith(REPLAYED)} - shown
+            client.subscribe(*new)
+            shown |= new
+            for topic in shown:
+                client.messages[topic].clear()
+
+
+def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random) -> dict[str, Any]:
+    """So many `messages` on each topic and service of a graph: with all nodes around `sensor_bridge`, or `plant`."""
+    progress = Progress(2)
+    wrong = WrongMessages(graph, chance)
+    try:
+        driven = Driven(graph, rig, wrong)
+        if rig == "sensor_bridge":
+            start_others(graph, wrong)
+        reporting = graph.started.keys() - UNSERVED
+        graph.until(lambda: reporting <= graph.statuses.keys(), f"all of {', '.join(sorted(reporting))}")
+        if rig == "sensor_bridge":
+            open_pages(graph, wrong)
+            graph.until(lambda: graph.state("spare") == "inactive", "the supervisor to wait for a logger")
+        wrong.until(lambda: wrong.last, "samples")
+        graph.until(driven.acts, "the rig to act")
+        with progress.step(f"topics of {rig}'s graph") as step:
+            wrong.send(messages, driven.go_on, step.update)
+        with progress.step(f"services of {rig}'s graph") as step:
+            wrong.ask(messages, driven.go_on, step.update)
+        # each of them still does what it is for
+        graph.until(driven.acts, "the rig to act")
+        if rig == "sensor_bridge":
+            graph.until(lambda: graph.values("operator").get("pages") == "1", "the page, which must still be open")
+        found: dict[str, Any] = {
+            "programs": sorted(graph.executables),
+            "topics": dict(wrong.topics),
+            "services": dict(wrong.services),
+            "samples": wrong.samples,
+            "acting": wrong.acting,
+            "faults": wrong.faults,
+            "not_finite": wrong.not_finite,
+            "greatest_force": wrong.greatest,
+            "worst_step": wrong.worst_step,
+            "worst_between": wrong.worst_between,
+            "died": sum(process.returncode is not None for process in graph.started.values()),
+        }
+        if driven.bridge:
+            driven.bridge.note()
+            found["at_device"] = driven.bridge.found
+            found["not_finite"] += driven.bridge.not_finite
+        return found
+    finally:
+        wrong.close()
 
 
 def measure(messages: int = MESSAGES) -> dict[str, Any]:
-    """All of it; call it on a domain of one's own."""
-    with graph_of_its_own("/wrong") as graph:
-        return wrong_endurance(graph, messages, messages, random.Random(1))
+    """Both graphs; call it on a domain of one's own."""
+    found = {}
+    for rig in ("sensor_bridge", "plant"):
+        with graph_of_its_own(f"/wrong_{rig}") as graph:
+            found[rig] = wrong_endurance(graph, rig, messages, random.Random(1))
+    both = list(found.values())
+    worst = max(both, key=lambda one: float(one["worst_step"]))
+    return {
+        **{name: sum(len(one[name]) for one in both) for name in ("topics", "services")},
+        "messages": sum(sum(one[name].values()) for one in both for name in ("topics", "services")),
+        **{name: sum(one[name] for one in both) for name in ("samples", "acting", "faults", "not_finite", "died")},
+        "greatest_force": max(one["greatest_force"] for one in both),
+        **{name: worst[name] for name in ("worst_step", "worst_between")},
+        "at_device": found["sensor_bridge"]["at_device"],
+        "found": found,
+    }
 
 
 if __name__ == "__main__":
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    with isolated():
-        print(json.dumps(measure(int(sys.argv[1]) if len(sys.argv) > 1 else MESSAGES), indent=1))
+    if sys.argv[1:2] == ["watch"]:
+        watch(*sys.argv[2:])
+    else:
+        with isolated():
+            print(json.dumps(measure(int(sys.argv[1]) if len(sys.argv) > 1 else MESSAGES), indent=1))

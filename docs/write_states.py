@@ -72,10 +72,18 @@ and `faults_before` counts it. Runs that fail while the machine itself stalls fo
 (`benchmarks/machine_stalls.py`) count as failed, and `while_stalled` says how many. Where other programs keep all
 processors busy, cases by the clock fail now and then: samples or answers are late.
 
-`make soak` sends 10 000 messages of correct type and wrong content to every topic and service of `plant`,
-`ground_motion`, `excitation` and `controller` (`python benchmarks/wrong_endurance.py`), and runs 20 minutes of
-lockstep (`python benchmarks/lockstep_endurance.py`): no node may grow by 1 MB after the first minute, and two runs have
-to give the same bytes.
+`make soak` sends 10 000 messages of correct type and wrong content to every topic and service of two running graphs
+(`python benchmarks/wrong_endurance.py`), which are asked what they have: one of `sensor_bridge`, its device the
+emulator, with every other node (`excitation`, `ground_motion`, `controller`, `logger`, `replay` by the clock and in
+lockstep, `supervisor`, `jitter`, `operator` with an open page, `viewer` with a client of all topics), and one of
+`plant`, `excitation` and `ground_motion`. No node may end. Every command, as the samples report it and as the emulated
+device receives it before it limits it, has to be finite and within capacity, and every step within the rate limit; the
+table's acceleration and its steps likewise. Whenever that has stopped the rig, the fault is cleared and force acts
+again. Transitions that the life cycle has are not requested: a node that is shut down has to end. Nobody answers the
+services of `supervisor` itself, those of its second node are called. `make test` does the same with 10 messages.
+
+`make soak` also runs 20 minutes of lockstep (`python benchmarks/lockstep_endurance.py`): no node may grow by 1 MB after
+the first minute, and two runs have to give the same bytes.
 
 `make test` has a short form of each: one run of killed, stopped and flooding behind bridge and emulator, 100 wrong
 messages of each kind, 11 000 samples of lockstep with at most 0.2 MB in the last 4000, and four

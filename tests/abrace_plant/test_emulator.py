@@ -48,6 +48,17 @@ def test_a_target_follows_once_it_has_been_commanded_zero():
     assert target.worst_force == 10.0
 
 
+def test_a_target_counts_what_it_is_commanded_before_it_limits_that():
+    target = following(1e3, 0.5)
+    assert target.worst_command == pytest.approx(0.5 / RIG.table.peak_acceleration)
+    target.command(np.array([-2 * RIG.capacity[0], 0.0]), enabled=True)
+    target.step()
+    assert target.worst_command == 2.0
+    assert target.worst_force == RIG.capacity[0]
+    target.command(np.array([0.0, np.nan]), enabled=False)
+    assert target.worst_command == np.inf
+
+
 @pytest.mark.parametrize("told", [False, True])
 def test_a_target_brings_force_and_table_to_rest_by_itself(told):
     target = following(20e3, 0.5)

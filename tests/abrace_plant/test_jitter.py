@@ -60,6 +60,11 @@ def test_a_histogram_counts_every_event_once_in_intervals_that_are_the_same_in_e
         assert (EDGES[i] <= 1e6 * time < EDGES[i + 1], counts[i]) == (True, count), time
 
 
+def test_samples_of_any_number_are_no_run():
+    with pytest.raises(AbraceError, match="restarted"):
+        Arrivals([0, PERIOD, 2 * PERIOD], [0, PERIOD, 2 * PERIOD], [0, 2**64 - 1, 1]).jitter()
+
+
 def test_a_bare_timer_is_never_early():
     timer = bare_timer(0.001, 0.05)
     assert len(timer.times) == 50

@@ -61,6 +61,7 @@ PACKAGES = {
     "supervisor": "abrace",
     "viewer": "abrace_bringup",
     "operator": "abrace_bringup",
+    "jitter": "abrace_plant",
 }
 STREAMING = ("plant", "sensor_bridge", "ground_motion", "excitation", "controller")
 TRANSITIONS = {
@@ -94,6 +95,8 @@ class Graph:
         self.executor = SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
         self.started: dict[str, NodeProcess] = {}
+        self.executables: set[str] = set()
+        """Of all nodes that have been started."""
         self.by_the_clock = False
         """Whether nodes that stream get a real-time priority, if allowed: other tests keep the machine busy."""
         self.may_end: set[str] = set()
@@ -118,6 +121,7 @@ class Graph:
     ) -> NodeProcess:
         """Start a node with parameters and further ROS arguments; `name`: the executable's by default."""
         name = name or executable
+        self.executables.add(executable)
         if self.by_the_clock and executable in STREAMING:
             parameters = {"thread_priority": 50, **parameters}
         command: list[str | Path] = [find_executable(PACKAGES[executable], executable)]
@@ -129,7 +133,7 @@ class Graph:
         log = self.folder / f"{name}.log"
         process = self.processes.start(name, [*command, *arguments], log)
         self.started[name] = process
-        if executable not in ("logger", "replay", "supervisor", "operator", "viewer"):
+        if executable in STREAMING:
             self._client(ChangeState, f"{name}/change_state")
             self._client(GetState, f"{name}/get_state")
             self._client(Trigger, f"{name}/clear_fault")

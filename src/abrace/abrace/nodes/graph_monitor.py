@@ -96,7 +96,9 @@ class GraphMonitor:
         with profile(streams=False):  # nodes that start after us find us at once
             self._context.init(args=["--ros-args", "--enclave", self._enclave])
             rclpy.signals.install_signal_handlers(SignalHandlerOptions.NO)
-            self._node = rclpy.create_node(self._name, namespace=self._namespace, context=self._context)
+            self._node = rclpy.create_node(
+                self._name, namespace=self._namespace, context=self._context, start_parameter_services=False
+            )
         self._executor = rclpy.executors.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         # a server drops its answers to a client that it has not discovered yet: made before the nodes start, or

@@ -186,6 +186,7 @@ class Emulator:
             "worst_step_over_rate_limit": target.worst_step_over_rate_limit,
             "worst_table_step": target.worst_table_step,
             "worst_force": target.worst_force,
+            "worst_command": target.worst_command,
             "worst_seconds_to_zero": target.worst_seconds_to_zero,
             "dropped": dict(self.port.dropped),
         }

@@ -65,6 +65,9 @@ class Target:
         Likewise of the table's acceleration [m/s^2].
     worst_force
         Greatest force command that reached the actuators [N].
+    worst_command
+        Greatest command that was received, of force or table, over the greatest that the rig has, before it is limited
+        to that; infinite: one that was not finite.
     worst_seconds_to_zero
         Longest time from the last command to zero force, of all stops.
     """
@@ -88,7 +91,7 @@ class Target:
         self.following = False
         self.stops = 0
         self.worst_step = self.worst_step_over_rate_limit = self.worst_table_step = self.worst_force = 0.0
-        self.worst_seconds_to_zero = 0.0
+        self.worst_seconds_to_zero = self.worst_command = 0.0
 
     def command(self, values: NDArray[np.float64], enabled: bool) -> None:
         """Take a command whose life counter is new.
@@ -101,6 +104,8 @@ class Target:
             Whether it is to be followed.
         """
         self._alive = self.tick
+        share = float(np.nan_to_num(np.abs(values) / self._most, nan=np.inf, posinf=np.inf).max())
+        self.worst_command = max(self.worst_command, share)
         if not enabled:
             self.stop()
         elif self.following:

@@ -73,11 +73,11 @@ class Arrivals:
         """
         if len(self.sequences) < 3:
             raise AbraceError(f"{len(self.sequences)} samples on response, expected a running rig")
-        steps = np.diff(np.array(self.sequences, dtype=np.int64))
+        steps = np.diff(np.array(self.sequences, dtype=np.float64))  # a wrong one may be of 64 bits
         if steps.min() < 1:
             raise AbraceError("the rig was restarted during the measurement, expected one run")
         period = float(np.median(np.diff(np.array(self.stamps, dtype=np.int64)) / steps)) / 1e9
-        between = np.diff(np.array(self.received, dtype=np.int64)) / 1e9
+        between = np.diff(np.array(self.received, dtype=np.int64)).astype(np.float64) / 1e9
         return Jitter(np.abs(between - period * steps), int((steps - 1).sum())), period
 
 

@@ -79,8 +79,12 @@ class JitterNode(AbraceNode):
         responses, received, stamps, sequences = Responses(), list[int](), list[int](), list[int]()
 
         def on_response(payload: bytes) -> None:
-            received.append(time.monotonic_ns())
-            stamp, head, _ = responses.unpack(payload)
+            now = time.monotonic_ns()
+            try:
+                stamp, head, _ = responses.unpack(payload)
+            except AbraceError:
+                return  # of whoever else publishes there
+            received.append(now)
             stamps.append(stamp)
             sequences.append(head.sequence)
 
