@@ -85,7 +85,7 @@ services of `supervisor` itself, those of its second node are called. `make test
 `make soak` also runs 20 minutes of lockstep (`python benchmarks/lockstep_endurance.py`): no node may grow by 1 MB after
 the first minute, and two runs have to give the same bytes.
 
-`make test` has a short form of each: one run of killed, stopped and flooding behind bridge and emulator, 100 wrong
+`make test` has a short form of each: one run of killed, stopped and flooding behind bridge and emulator, 10 wrong
 messages of each kind, 11 000 samples of lockstep with at most 0.2 MB in the last 4000, and four
 [interlocks](planted_causes.md) tripped on the running node.
 
