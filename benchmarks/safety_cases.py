@@ -400,7 +400,7 @@ LOCKSTEP: dict[str, Callable[[Hands], None]] = {
 def start_plant_in_hand(graph: Graph, **parameters: Any) -> None:
     """Start a plant in lockstep whose braces and table are ours, with further `parameters`."""
     inputs = ["brace_command", "ground_motion"]
-    graph.start("plant", lockstep=True, lockstep_timeout=60.0, wait_for=inputs, **parameters)
+    graph.start("plant", lockstep=True, wait_for=inputs, **parameters)
 
 
 def plant_in_hand(graph: Graph) -> Hands:

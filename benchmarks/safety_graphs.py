@@ -70,7 +70,7 @@ class StrongMotion:
         self.graph, self.moments = graph, random.Random(1)
         self.responses: list[Response] = graph.listen(Response, "response")
         rig = str(wide_rig(graph.folder))
-        graph.start("plant", rig=rig, lockstep=True, lockstep_timeout=60.0, wait_for=["ground_motion"], autostart=False)
+        graph.start("plant", rig=rig, lockstep=True, wait_for=["ground_motion"], autostart=False)
         graph.start("ground_motion", rig=rig, autostart=False, **EL_CENTRO)
         for name in ("plant", "ground_motion"):
             assert graph.change_state(name, "configure")
@@ -160,7 +160,7 @@ class WrongSign:
         law = replace(right.law, c=-right.law.c, d=-right.law.d)
         save_controller(replace(right, law=law, correction=0 * right.correction), graph.folder / "wrong.yaml")
         inputs = ["brace_command", "ground_motion"]
-        graph.start("plant", lockstep=True, lockstep_timeout=60.0, wait_for=inputs, autostart=False)
+        graph.start("plant", lockstep=True, wait_for=inputs, autostart=False)
         graph.start("ground_motion", record="el_centro", peak_acceleration=0.980665, autostart=False)
         graph.start("controller", "--params-file", graph.folder / "wrong.yaml")
         for name in ("plant", "ground_motion"):

@@ -11,6 +11,7 @@ import pytest
 
 from abrace.processes.orphan_guard import is_running
 from abrace_bags import read_run
+from abrace_core.node.conventions import LOCKSTEP_STREAM_QOS
 from abrace_interfaces.msg import Response
 
 LAUNCH = Path(__file__).parents[2] / "src/abrace_bringup/launch"
@@ -48,18 +49,19 @@ def output() -> str:
 
 
 def test_a_test_is_recorded_from_sample_0_to_its_end_whoever_listens(graph, start_launch):
-    graph.listen(Response, "response")
-    Path("slow.yaml").write_text(
-        "/**/plant:\n  ros__parameters: {command_timeout: 10.0}\n"
+    graph.listen(Response, "response", LOCKSTEP_STREAM_QOS)
+    Path("lockstep.yaml").write_text(
+        "/**/plant:\n  ros__parameters: {lockstep: true, wait_for: [brace_command, ground_motion]}\n"
+        "/**/logger:\n  ros__parameters: {lockstep: true}\n"
         "/**/ground_motion:\n  ros__parameters: {period: 1.0, band: [2.0, 10.0]}\n"
         "/**/excitation:\n  ros__parameters: {period: 1.0, band: [2.0, 30.0]}\n"
     )
-    launch = start_launch("identification", drive="both", duration=2.0, free_decay=0.5, parameters="slow.yaml")
+    launch = start_launch("identification", drive="both", duration=4.0, free_decay=0.5, parameters="lockstep.yaml")
     assert launch.wait(120) == 0, output()
     assert not is_running(launch.pid)
     run = read_run("bag")
     assert run.sequence[0] == 0
-    assert len(run.sequence) == run.sequence[-1] + 1 >= 2.5 * 500
+    assert len(run.sequence) == run.sequence[-1] + 1 > 4.0 * 500
 
 
 def test_wrong_arguments_are_named_and_nothing_is_started(start_launch):

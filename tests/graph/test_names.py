@@ -16,7 +16,7 @@ def test_two_rigs_in_two_namespaces_do_not_disturb_each_other(new_graph, new_com
     with new_graph() as first, new_graph() as second:
         hands, clocks = [], [graph.listen(Clock, "clock") for graph in (first, second)]
         for seed, graph in enumerate((first, second)):
-            graph.start("plant", lockstep=True, lockstep_timeout=60.0, seed=seed)
+            graph.start("plant", lockstep=True, seed=seed)
             hands.append(new_commander(graph))
         for force in np.linspace(0, 5000, 100):
             hands[0].answer([force])

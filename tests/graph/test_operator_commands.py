@@ -32,7 +32,7 @@ def row(table: str, node: str) -> list[str]:
 
 def test_an_operator_sees_stops_clears_and_sets_without_ros2(graph):
     plant, logger = f"{graph.namespace}/plant", f"{graph.namespace}/logger"
-    graph.start("plant", command_timeout=10.0)
+    graph.start("plant")
     graph.start("logger", output=str(graph.folder / "bag"))
     graph.until_matched("logger", response=1)
     code, table = status(plant, logger)

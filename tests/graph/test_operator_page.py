@@ -33,7 +33,7 @@ def twice(tab: Tab, button: str) -> None:
 def test_a_person_arms_records_stops_and_clears_in_a_browser(graph):
     logger = graph.folder / "bag"
     responses = graph.listen(Response, "response")
-    graph.start("plant", autostart=False, command_timeout=10.0)
+    graph.start("plant", autostart=False)
     graph.start("logger", output=str(logger), autostart=False)
     graph.start("operator", port=0, page_heartbeat=5.0)
     address = page_address(graph)

@@ -72,7 +72,7 @@ def test_a_law_that_breaks_is_a_latched_fault_that_says_where(graph, start_law, 
     file = tmp_path / "my_law.py"
     file.write_text(BROKEN)
     responses = graph.listen(Response, "response")
-    graph.start("plant", lockstep=True, duration=1.5, lockstep_timeout=60.0, autostart=False)
+    graph.start("plant", lockstep=True, duration=1.5, autostart=False)
     start_law("my_law", file, gain=2.0, floors=[1])
     assert graph.change_state("plant", "configure")
     graph.until_matched("plant", response=2, brace_command=1)

@@ -120,8 +120,7 @@ def test_the_20_storey_building_moves_in_the_graph_as_its_frame_does_offline(gra
 
 
 def test_a_rig_with_its_braces_off_is_the_bare_frame(graph):
-    graph.by_the_clock = True
-    graph.start("plant", disconnected_braces=[1], command_timeout=0.5)
+    graph.start("plant", disconnected_braces=[1], lockstep=True)
     graph.start("excitation", duration=60.0, rms=2000.0)
     responses = graph.listen(Response, "response")
     graph.until(lambda: responses and abs(responses[-1].command[0]) > 1000, "commands")

@@ -73,7 +73,7 @@ class Bench:
 def rig(new_graph: Callable, new_commander: Callable) -> Iterator[Bench]:
     """One plant in lockstep for all of these tests."""
     with new_graph() as graph:
-        graph.start("plant", lockstep=True, lockstep_timeout=60.0)
+        graph.start("plant", lockstep=True)
         yield Bench(graph, new_commander(graph))
 
 

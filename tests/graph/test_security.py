@@ -93,7 +93,7 @@ def test_the_policy_allows_what_the_nodes_do(graph, tmp_path):
 
 
 def test_the_policy_allows_what_a_viewer_does_that_may_operate_and_no_other_viewer(graph):
-    graph.start("plant", command_timeout=10.0)
+    graph.start("plant")
     graph.start("viewer", port=0, page_port=0, operate=True)
     line = graph.until(lambda: [line for line in graph.output_of("viewer") if "?token=" in line], "its address")
     port, token = re.search(r":(\d+)/\?token=(\S+)", line[0]).groups()

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from abrace_bags import read_run, read_runs
+from abrace_core.node.conventions import LOCKSTEP_STREAM_QOS
 from abrace_interfaces.msg import BraceCommand, Response
 
 pytestmark = pytest.mark.usefixtures("domain")
@@ -14,26 +15,26 @@ BOTH = ["brace_command=excitation", "ground_motion=ground_motion"]
 
 def test_a_test_begins_when_it_is_recorded_and_ends_after_its_signal_whoever_listens(graph):
     bag = graph.folder / "bag"
-    viewer = graph.listen(Response, "response")
-    graph.by_the_clock = True
-    graph.start("plant", autostart=False, command_timeout=10.0)
+    viewer = graph.listen(Response, "response", LOCKSTEP_STREAM_QOS)
+    graph.start("plant", autostart=False, lockstep=True)
     graph.start("supervisor", inputs=["brace_command=excitation"], signals=["excitation"], free_decay=0.5)
     graph.start("excitation", duration=2.0)
     graph.until(lambda: graph.values("plant").get("subscribers of response") == "2", "the viewer and the excitation")
     assert not viewer, "nothing is sampled before the logger is there"
-    graph.start("logger", output=str(bag))
+    graph.start("logger", output=str(bag), lockstep=True)
     assert graph.ended("supervisor") == 0, graph.output_of("supervisor")
     assert graph.state("plant") == "inactive"
     assert graph.stop("logger") == 0
     run = read_run(bag)
     assert run.sequence[0] == 0
-    assert len(run.sequence) == run.sequence[-1] + 1 == len(viewer) >= 2.5 * 500
+    assert len(run.sequence) == run.sequence[-1] + 1 > 2.0 * 500
+    graph.until(lambda: len(viewer) == len(run.sequence), "the viewer to have them all")
 
 
 def test_a_rig_that_runs_elsewhere_is_joined_when_it_is_recorded_and_a_broken_off_signal_is_an_error(graph):
     bag = graph.folder / "bag"
     graph.by_the_clock = True
-    graph.start("plant", command_timeout=10.0)
+    graph.start("plant")
     graph.start("ground_motion", record="white_noise", duration=1000.0, autostart=False)
     options = {"plant": False, "signals": ["ground_motion"], "free_decay": 0.6}
     graph.start("supervisor", inputs=["ground_motion=ground_motion"], **options)
@@ -42,8 +43,8 @@ def test_a_rig_that_runs_elsewhere_is_joined_when_it_is_recorded_and_a_broken_of
     graph.emergency_stop()(True)
     assert graph.ended("supervisor") == 1
     last = graph.output_of("supervisor")[-1]
-    assert "ground_motion: cancelled after" in last
-    assert f"protective stop: pressed by {graph.namespace}/test" in last
+    assert "ground_motion: cancelled after" in last, last
+    assert f"protective stop: pressed by {graph.namespace}/test" in last, last
     assert graph.state("ground_motion") == "inactive"
     assert graph.stop("logger") == 0
     # six standard deviations of the sensor's noise; the motion has 0.25 m/s^2
