@@ -237,7 +237,7 @@ def watch(port: str, token: str, page: str) -> None:
 
 def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random) -> dict[str, Any]:
     """So many `messages` on each topic and service of a graph: with all nodes around `sensor_bridge`, or `plant`."""
-    progress = Progress(2)
+    progress, died = Progress(3), 0
     wrong = WrongMessages(graph, chance)
     try:
         driven = Driven(graph, rig, wrong)
@@ -252,14 +252,25 @@ def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random
         graph.until(driven.acts, "the rig to act")
         with progress.step(f"topics of {rig}'s graph") as step:
             wrong.send(messages, driven.go_on, step.update)
-        with progress.step(f"services of {rig}'s graph") as step:
-            wrong.ask(messages, driven.go_on, step.update)
-        # each of them still does what it is for
-        graph.until(driven.acts, "the rig to act")
+        with progress.step(f"services of the others in {rig}'s graph") as step:
+            driven.take(rig, "deactivate")  # the machine has other work
+            wrong.ask(lambda name: name not in STREAMING, messages, lambda: None, step.update)
         if rig == "sensor_bridge":
             graph.until(lambda: graph.values("operator").get("pages") == "1", "the page, which must still be open")
+        for name in graph.started.keys() - set(STREAMING):
+            died += graph.stop(name) != 0 and name != "watcher"
+            del graph.started[name]
+        driven.take(rig, "activate")
+        graph.until(driven.acts, "the rig to act")
+        # in the other graph are the same drivers
+        wanted = ("plant",) if rig == "plant" else STREAMING
+        with progress.step(f"services of {', '.join(wanted)}") as step:
+            wrong.ask(lambda name: name in wanted, messages, driven.go_on, step.update)
+        # each of them still does what it is for
+        graph.until(driven.acts, "the rig to act")
         found: dict[str, Any] = {
             "programs": sorted(graph.executables),
+            "nodes": sorted(reporting),
             "topics": dict(wrong.topics),
             "services": dict(wrong.services),
             "samples": wrong.samples,
@@ -269,7 +280,7 @@ def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random
             "greatest_force": wrong.greatest,
             "worst_step": wrong.worst_step,
             "worst_between": wrong.worst_between,
-            "died": sum(process.returncode is not None for process in graph.started.values()),
+            "died": died + sum(process.returncode is not None for process in graph.started.values()),
         }
         if driven.bridge:
             driven.bridge.note()
