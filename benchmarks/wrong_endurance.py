@@ -33,6 +33,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from bag_of_run import write_bag
 from controller_speed import lqg3
 from emulated_target import TICKING, EmulatedTarget
@@ -49,11 +50,10 @@ from tornado.websocket import websocket_connect
 from udp_target import CONFIG, RIG, device_file
 from wrong_messages import UNSERVED, WrongMessages
 
-from abrace import simulate
 from abrace_core.controller_file import save_controller
 from abrace_core.progress import Progress
+from abrace_core.run import Run
 from abrace_core.safety.rig_safety import ACTING
-from abrace_core.table_signals import table_noise
 from abrace_interfaces.msg import Response
 
 if TYPE_CHECKING:
@@ -187,7 +187,9 @@ def start_others(graph: Graph, wrong: WrongMessages) -> None:
     graph.start("jitter", duration=LONG, patience=LONG)
     graph.start("operator", port=0)
     graph.start("viewer", port=0, page_port=0, response=f"{graph.namespace}/response", operate=True)
-    write_bag(simulate("ncree_three_storey", table_noise(1000, 500.0, (0.5, 10.0), 0.1, 1)), folder / "replayed")
+    nothing, count = np.zeros((100, 8)), np.arange(100, dtype=np.uint64)
+    at_rest = Run("at rest", 0.002, count, 3, 1, nothing, nothing[:, 0], nothing[:, :1], braces=(1,))
+    write_bag(at_rest, folder / "replayed")
     slow: dict[str, Any] = {"bag": str(folder / "replayed"), "loop": True, "rate": 0.02}
     graph.start("replay", "-r", f"/response:={REPLAYED[0]}response", **slow)
     lockstep = {"lockstep": True, "lockstep_timeout": LONG}
