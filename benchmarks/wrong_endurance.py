@@ -33,6 +33,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from bag_of_run import write_bag
 from controller_speed import lqg3
 from emulated_target import TICKING, EmulatedTarget
@@ -49,11 +50,10 @@ from tornado.websocket import websocket_connect
 from udp_target import CONFIG, RIG, device_file
 from wrong_messages import UNSERVED, WrongMessages
 
-from abrace import simulate
 from abrace_core.controller_file import save_controller
 from abrace_core.progress import Progress
+from abrace_core.run import Run
 from abrace_core.safety.rig_safety import ACTING
-from abrace_core.table_signals import table_noise
 from abrace_interfaces.msg import Response
 
 if TYPE_CHECKING:
@@ -187,7 +187,9 @@ def start_others(graph: Graph, wrong: WrongMessages) -> None:
     graph.start("jitter", duration=LONG, patience=LONG)
     graph.start("operator", port=0)
     graph.start("viewer", port=0, page_port=0, response=f"{graph.namespace}/response", operate=True)
-    write_bag(simulate("ncree_three_storey", table_noise(1000, 500.0, (0.5, 10.0), 0.1, 1)), folder / "replayed")
+    nothing, count = np.zeros((100, 8)), np.arange(100, dtype=np.uint64)
+    at_rest = Run("at rest", 0.002, count, 3, 1, nothing, nothing[:, 0], nothing[:, :1], braces=(1,))
+    write_bag(at_rest, folder / "replayed")
     slow: dict[str, Any] = {"bag": str(folder / "replayed"), "loop": True, "rate": 0.02}
     graph.start("replay", "-r", f"/response:={REPLAYED[0]}response", **slow)
     lockstep = {"lockstep": True, "lockstep_timeout": LONG}
@@ -237,7 +239,7 @@ def watch(port: str, token: str, page: str) -> None:
 
 def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random) -> dict[str, Any]:
     """So many `messages` on each topic and service of a graph: with all nodes around `sensor_bridge`, or `plant`."""
-    progress = Progress(2)
+    progress, died = Progress(3), 0
     wrong = WrongMessages(graph, chance)
     try:
         driven = Driven(graph, rig, wrong)
@@ -252,14 +254,25 @@ def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random
         graph.until(driven.acts, "the rig to act")
         with progress.step(f"topics of {rig}'s graph") as step:
             wrong.send(messages, driven.go_on, step.update)
-        with progress.step(f"services of {rig}'s graph") as step:
-            wrong.ask(messages, driven.go_on, step.update)
-        # each of them still does what it is for
-        graph.until(driven.acts, "the rig to act")
+        with progress.step(f"services of the others in {rig}'s graph") as step:
+            driven.take(rig, "deactivate")  # the machine has other work
+            wrong.ask(lambda name: name not in STREAMING, messages, lambda: None, step.update)
         if rig == "sensor_bridge":
             graph.until(lambda: graph.values("operator").get("pages") == "1", "the page, which must still be open")
+        for name in graph.started.keys() - set(STREAMING):
+            died += graph.stop(name) != 0 and name != "watcher"
+            del graph.started[name]
+        driven.take(rig, "activate")
+        graph.until(driven.acts, "the rig to act")
+        # in the other graph are the same drivers
+        wanted = ("plant",) if rig == "plant" else STREAMING
+        with progress.step(f"services of {', '.join(wanted)}") as step:
+            wrong.ask(lambda name: name in wanted, messages, driven.go_on, step.update)
+        # each of them still does what it is for
+        graph.until(driven.acts, "the rig to act")
         found: dict[str, Any] = {
             "programs": sorted(graph.executables),
+            "nodes": sorted(reporting),
             "topics": dict(wrong.topics),
             "services": dict(wrong.services),
             "samples": wrong.samples,
@@ -269,7 +282,7 @@ def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random
             "greatest_force": wrong.greatest,
             "worst_step": wrong.worst_step,
             "worst_between": wrong.worst_between,
-            "died": sum(process.returncode is not None for process in graph.started.values()),
+            "died": died + sum(process.returncode is not None for process in graph.started.values()),
         }
         if driven.bridge:
             driven.bridge.note()

@@ -48,7 +48,7 @@ FRAME = "elsewhere"
 """Frame of the wrong Responses and DiagnosticArrays, which distinguishes them from the nodes' own."""
 NUMBERS = (float("nan"), float("inf"), float("-inf"), 1.7e308, -1.7e308, 5e-324, 1e9, -1e9, 0.0, 1.0)
 TEXTS = ("", "x", "x" * 5000, "\n", "../../..", "el_centro ", "nan", "ä", "²", "-1", "1e999", "9" * 5000)
-LENGTHS = (0, 0, 1, 1, 2, 3, 3, 5, 300)
+LENGTHS = (0, 0, 1, 1, 2, 3, 3, 5) * 3 + (300,)
 MOST_MESSAGES = 5
 """Messages in a sequence of messages."""
 TRANSITIONS = (0, 8, 9, 10, 11, 60, 97, 98, 99, 200, 255)
@@ -170,10 +170,15 @@ def wrong_request(kind: type, chance: random.Random, parameters: list[str]) -> A
 
 
 class _Calls:
-    """A service that is called again with each answer, `count` times in all, with `at_once` calls in progress."""
+    """A service that is called again with each answer, `count` times in all, with `at_once` calls in progress.
 
-    def __init__(self, client: Client, make: Callable[[], Any], count: int, at_once: int) -> None:
-        self._client, self._make, self._left = client, make, count
+    `also` is called after each answer.
+    """
+
+    def __init__(
+        self, client: Client, make: Callable[[], Any], count: int, at_once: int, also: Callable[[], object]
+    ) -> None:
+        self._client, self._make, self._left, self._also = client, make, count, also
         self.answered, self.last = 0, time.monotonic()
         for _ in range(at_once):
             self._call()
@@ -186,6 +191,7 @@ class _Calls:
     def _take(self, _: Future) -> None:
         self.answered, self.last = self.answered + 1, time.monotonic()
         self._call()
+        self._also()
 
 
 class WrongMessages:
@@ -209,6 +215,7 @@ class WrongMessages:
         self._rig = self.node.resolve_topic_name("response")
         self.last: dict[str, Response] = {}
         """The last sample on each topic of samples."""
+        self._over, self._end = Future(), 0.0
         self._clients: dict[str, Client] = {}
         self.reported: dict[str, DiagnosticStatus] = {}
         """What each node has reported last."""
@@ -271,10 +278,16 @@ class WrongMessages:
 
     def spin(self, seconds: float) -> None:
         """Receive for so long; fail where a node has died."""
-        self.executor.spin_until_future_complete(Future(), seconds)
+        self._over, self._end = Future(), time.monotonic() + seconds
+        self.executor.spin_until_future_complete(self._over, seconds)
         for process in self.graph.started.values():
             if process.returncode is not None:
                 raise process.died()
+
+    def _stop_late(self) -> None:
+        """End a spin that should be over: an executor that is never idle does not look at the time."""
+        if time.monotonic() > self._end:
+            self._over.set_result(None)
 
     def until(self, holds: Callable[[], Any], what: str) -> None:
         """Receive until something holds."""
@@ -300,9 +313,10 @@ class WrongMessages:
         found = [self.node.get_subscriber_names_and_types_by_node(*node) for node in self.nodes()]
         return {name: interface(types[0], "msg") for one in found for name, types in sorted(one)}
 
-    def find_services(self) -> dict[str, type]:
-        """Every service that a node offers and answers, those of actions as well, and its type."""
-        nodes = [node for node in self.nodes() if node[0] not in UNSERVED and not node[0].startswith("_")]
+    def find_services(self, wanted: Callable[[str], bool]) -> dict[str, type]:
+        """Every service that a node of a `wanted` name offers and answers, those of actions as well, and its type."""
+        served = [node for node in self.nodes() if node[0] not in UNSERVED and not node[0].startswith("_")]
+        nodes = [node for node in served if wanted(node[0])]
         found = [self.node.get_service_names_and_types_by_node(*node) for node in nodes]
         return {name: interface(types[0], "srv") for one in found for name, types in sorted(one)}
 
@@ -341,9 +355,15 @@ class WrongMessages:
             return wrong_diagnostics(self.chance, list(self.reported.values()))
         return wrong_message(kind, self.chance, self.last.get(f"{name.rpartition('/')[0]}/response"))
 
-    def ask(self, count: int, alternate: Callable[[], object], tell: Callable[[float, str], object]) -> None:
-        """Call every service `count` times, and take all answers; `alternate` and `tell` as of `send`."""
-        services = self.find_services()
+    def ask(
+        self,
+        wanted: Callable[[str], bool],
+        count: int,
+        alternate: Callable[[], object],
+        tell: Callable[[float, str], object],
+    ) -> None:
+        """Call every service of nodes of `wanted` names `count` times; `alternate` and `tell` as of `send`."""
+        services = self.find_services(wanted)
         clients = {name: self.node.create_client(kind, name) for name, kind in services.items()}
         self.until(lambda: all(client.service_is_ready() for client in clients.values()), "all services")
         lists = {name: ListParameters.Request for name in services if name.endswith("/list_parameters")}
@@ -355,7 +375,7 @@ class WrongMessages:
         }
         self._first_answers(clients, requests)
         calls = {
-            name: _Calls(client, requests[name], count - 1, 1 if name.endswith(SLOW) else AT_ONCE)
+            name: _Calls(client, requests[name], count - 1, 1 if name.endswith(SLOW) else AT_ONCE, self._stop_late)
             for name, client in clients.items()
         }
         turn = time.monotonic() + TURN_PERIOD
@@ -366,7 +386,7 @@ class WrongMessages:
             assert not silent, f"no answer for {PATIENCE:.0f} s of {', '.join(silent)}; {self.graph.reported()}"
             if now > turn:
                 answered = sum(one.answered for one in calls.values())
-                tell(answered / (count * len(calls)), f"{len(left)} services, such as {left[0]}")
+                tell(answered / (count * len(calls)), f"{len(left)} of {len(calls)} services")
                 alternate()
                 turn = time.monotonic() + TURN_PERIOD
         self.services.update(dict.fromkeys(services, count))
