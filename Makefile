@@ -67,11 +67,12 @@ lint: tools  ## ruff and mypy (its types are those of NumPy 2: not where ROS 2 i
 	ruff format --check .
 	[ -n "$(ROS_DISTRO)" ] || mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) $(wildcard src/*/scripts/*.py) $(wildcard docs/*.py) $(filter-out %.launch.py,$(filter-out %/test/%,$(wildcard examples/*/*/*.py))) benchmarks tests/support
 
-test: lint  ## lint and all tests: those of the libraries on all cores, then those of the graph, three files at a time
+test: lint  ## lint and all tests: the libraries' on all cores, the graph's three files at a time, what takes all cores alone
 	@$(ENVIRONMENT)
 	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 	$(TEST_LIBRARIES)
-	python -m pytest --numprocesses 3 --dist loadfile tests/graph
+	python -m pytest --numprocesses 3 --dist loadfile -m "not alone" tests/graph
+	python -m pytest -m alone tests/graph
 
 test-libraries: tools
 	@$(ENVIRONMENT)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import pytest
 from safety_by_the_clock import FAILURES, Rig
 
 from abrace_interfaces.msg import Response
@@ -25,6 +26,7 @@ def expect_its_answers_to_act(rig: Rig) -> None:
     assert rig.last.state == Response.RUNNING, rig.last.cause
 
 
+@pytest.mark.alone
 def test_the_controller_acts_through_bridge_and_emulator_and_when_it_fails_the_force_is_zero_in_time(graph):
     rig = Rig(graph, "controller", "sensor_bridge")
     rig.begin()

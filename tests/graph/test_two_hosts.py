@@ -15,6 +15,7 @@ CASES = (
 )
 
 
+@pytest.mark.alone
 @pytest.mark.skipif(bool(hosts.missing()), reason=f"no two hosts here: {hosts.missing()}")
 def test_a_cut_and_a_stop_over_a_poor_link_take_the_force_along_the_ramp_to_zero(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

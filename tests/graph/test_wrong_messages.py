@@ -15,6 +15,7 @@ from wrong_endurance import CAPACITY, OFFLINE, RATE_STEP, wrong_endurance
 MESSAGES = 10
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("rig", ["sensor_bridge", "plant"])
 def test_nothing_wrong_reaches_the_device_and_no_node_dies(graph, rig):
     found = wrong_endurance(graph, rig, MESSAGES, random.Random(1))
