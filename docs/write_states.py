@@ -62,12 +62,9 @@ stopped (SIGSTOP) and made to flood the rig, 100 times each, behind `sensor_brid
 be zero within `command_timeout`, ramp and 5 samples, with no step beyond the rate limit, in the samples and at the
 emulated actuators.
 
-Measured on two virtual processors before the cases of the heartbeat, of the release, of a cut motion, of the sender's
-own fault, of the second rig, of the node that joins and of the deactivated controller were added, and with the
-simulated rig in place of bridge and emulator: 98 of 98 pairs; each case 20 of 20; killed 100 of 100, stopped 100 of
-100, flooding 98, and 100 of 100 once the benchmark counted from the present sample and moved the table to the middle;
-no step beyond the rate limit. Each of the added cases has passed 3 to 6 runs; killed, stopped and flooding behind the
-bridge 5 of 5 each, on a busy machine. A rig's fault before the controller is killed, stopped or floods is cleared,
+Measured on two virtual processors beside other work: 98 of 98 pairs; 25 cases 20 of 20, `stop_during_el_centro` 18,
+`commander_deactivated` 19 and nothing but the loop in its thread 17 of 20, all while the machine stalled; killed 99,
+stopped 100, flooding 100 of 100; no step beyond the rate limit. A rig's fault before the controller is killed, stopped or floods is cleared,
 and `faults_before` counts it. Runs that fail while the machine itself stalls for 1 ms or more
 (`benchmarks/machine_stalls.py`) count as failed, and `while_stalled` says how many. Where other programs keep all
 processors busy, cases by the clock fail now and then: samples or answers are late.
