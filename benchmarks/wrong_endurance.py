@@ -6,6 +6,7 @@ page that are open; another with `plant` and those that drive it. Offline progra
 nothing and offer no service.
 
 topics, services, messages  how many were tried, and the messages of all
+repeated                    calls of services of a node that was cleaned up before it answered
 samples, acting             of the rigs, and those of them with a force
 faults                      times that they were stopped by these messages, and made to act again
 not_finite                  samples at which what acted was not finite, and commands at the emulator
@@ -152,7 +153,7 @@ class Driven:
             self.wrong.spin(0.01)
         if self.wrong.rig.state in ACTING and not any(self.wrong.rig.command):
             self.take("excitation", "deactivate", "activate")
-            self.take("ground_motion", "deactivate", "cleanup", "configure", "activate")
+            self.take("ground_motion", "deactivate", "cleanup", "configure", "activate")  # its action's calls are lost
 
     def move_table(self) -> None:
         """Move the table to the middle, as docs/interlocks.md says."""
@@ -275,6 +276,7 @@ def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random
             "nodes": sorted(reporting),
             "topics": dict(wrong.topics),
             "services": dict(wrong.services),
+            "repeated": wrong.repeated,
             "samples": wrong.samples,
             "acting": wrong.acting,
             "faults": wrong.faults,
@@ -304,7 +306,10 @@ def measure(messages: int = MESSAGES) -> dict[str, Any]:
     return {
         **{name: sum(len(one[name]) for one in both) for name in ("topics", "services")},
         "messages": sum(sum(one[name].values()) for one in both for name in ("topics", "services")),
-        **{name: sum(one[name] for one in both) for name in ("samples", "acting", "faults", "not_finite", "died")},
+        **{
+            name: sum(one[name] for one in both)
+            for name in ("repeated", "samples", "acting", "faults", "not_finite", "died")
+        },
         "greatest_force": max(one["greatest_force"] for one in both),
         **{name: worst[name] for name in ("worst_step", "worst_between")},
         "at_device": found["sensor_bridge"]["at_device"],

@@ -69,6 +69,8 @@ AGAIN = 3.0
 """Seconds after which a first call is repeated: a server drops its answer to a client that it has not discovered."""
 UNSERVED = ("supervisor",)
 """Nodes that answer no service, beside the hidden ones, which are only inputs: it spins its second node alone."""
+LOST = 10.0
+"""Seconds after which unanswered calls are repeated."""
 PATIENCE = 60.0
 """Seconds without any answer of a service that has been called."""
 
@@ -179,18 +181,37 @@ class _Calls:
         self, client: Client, make: Callable[[], Any], count: int, at_once: int, also: Callable[[], object]
     ) -> None:
         self._client, self._make, self._left, self._also = client, make, count, also
-        self.answered, self.last = 0, time.monotonic()
-        for _ in range(at_once):
+        self._at_once = at_once
+        self._open: set[Future] = set()
+        self.answered = self.repeated = 0
+        self.last = self.asked = time.monotonic()
+        self._begin()
+
+    def _begin(self) -> None:
+        for _ in range(self._at_once):
             self._call()
+
+    def repeat(self) -> None:
+        """Make the calls in progress again: whose service was cleaned up and configured has lost them."""
+        self.repeated += len(self._open)
+        self._left += len(self._open)
+        self._open.clear()
+        self.asked = time.monotonic()
+        self._begin()
 
     def _call(self) -> None:
         if self._left:
             self._left -= 1
-            self._client.call_async(self._make()).add_done_callback(self._take)
+            future = self._client.call_async(self._make())
+            self._open.add(future)
+            future.add_done_callback(self._take)
 
-    def _take(self, _: Future) -> None:
-        self.answered, self.last = self.answered + 1, time.monotonic()
-        self._call()
+    def _take(self, future: Future) -> None:
+        self.last = self.asked = time.monotonic()
+        if future in self._open:
+            self._open.remove(future)
+            self.answered += 1
+            self._call()
         self._also()
 
 
@@ -230,6 +251,8 @@ class WrongMessages:
         """Topics to which messages have been sent, and how many."""
         self.services: Counter[str] = Counter()
         """Services that have been called, and how many times."""
+        self.repeated = 0
+        """Calls that were lost, because the node was cleaned up meanwhile, and made again."""
         self.node.create_subscription(Response, "response", self._watch, 5000)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._note, 100)
 
@@ -384,12 +407,16 @@ class WrongMessages:
             now = time.monotonic()
             silent = [name for name in left if now - calls[name].last > PATIENCE]
             assert not silent, f"no answer for {PATIENCE:.0f} s of {', '.join(silent)}; {self.graph.reported()}"
+            for name in left:
+                if now - calls[name].asked > LOST:
+                    calls[name].repeat()
             if now > turn:
                 answered = sum(one.answered for one in calls.values())
                 tell(answered / (count * len(calls)), f"{len(left)} of {len(calls)} services")
                 alternate()
                 turn = time.monotonic() + TURN_PERIOD
         self.services.update(dict.fromkeys(services, count))
+        self.repeated += sum(one.repeated for one in calls.values())
         for client in clients.values():
             self.node.destroy_client(client)
 
