@@ -66,10 +66,10 @@ Measured on two virtual processors beside other work: 98 of 98 pairs; 25 cases 2
 `commander_deactivated` 19 and nothing but the loop in its thread 17 of 20, all while the machine stalled; killed 99,
 stopped 100, flooding 100 of 100; no step beyond the rate limit.
 
-A rig's fault before the controller is killed, stopped or floods is cleared,
-and `faults_before` counts it. Runs that fail while the machine itself stalls for 1 ms or more
-(`benchmarks/machine_stalls.py`) count as failed, and `while_stalled` says how many. Where other programs keep all
-processors busy, cases by the clock fail now and then: samples or answers are late.
+A rig's fault before the controller is killed, stopped or floods is cleared, and `faults_before` counts it. Runs that
+fail while the machine itself stalls for 1 ms or more (`benchmarks/machine_stalls.py`) count as failed, and
+`while_stalled` says how many. Where other programs keep all processors busy, cases by the clock fail now and then:
+samples or answers are late.
 
 `make soak` sends 10 000 messages of correct type and wrong content to every topic and service of two running graphs
 (`python benchmarks/wrong_endurance.py`), which are asked what they have: one of `sensor_bridge`, its device the
@@ -79,7 +79,7 @@ lockstep, `supervisor`, `jitter`, `operator` with an open page, `viewer` with a 
 device receives it before it limits it, has to be finite and within capacity, and every step within the rate limit; the
 table's acceleration and its steps likewise. Whenever that has stopped the rig, the fault is cleared and force acts
 again. Transitions that the life cycle has are not requested: a node that is shut down has to end. Nobody answers the
-services of `supervisor` itself, those of its second node are called. `make test` does the same with 10 messages.
+services of `supervisor` itself, those of its second node are called.
 
 `make soak` also runs 20 minutes of lockstep (`python benchmarks/lockstep_endurance.py`): no node may grow by 1 MB after
 the first minute, and two runs have to give the same bytes.

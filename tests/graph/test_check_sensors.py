@@ -13,6 +13,8 @@ from laboratory import Laboratory
 from udp_target import CONFIG, RIG, device_file
 
 from abrace.processes.group import find_executable
+from abrace_plant.devices.device import DeviceError
+from abrace_plant.nodes.check_sensors import read_at_rest
 
 
 @pytest.fixture
@@ -91,3 +93,30 @@ def test_a_bag_of_another_rig_is_refused_with_both_rigs_channels(tmp_path):
 def test_without_anything_to_read_it_says_so_in_one_line(given, message):
     ended = check(**given)
     assert (ended.returncode, ended.stderr) == (2, f"check_sensors: {message}\n")
+
+
+@pytest.mark.parametrize("fails", [("exchange", "make_safe"), ("make_safe",)])
+def test_a_device_that_fails_is_closed_and_every_reason_is_said(fails):
+    class Failing:
+        closed = False
+
+        def open(self):
+            self.closed = False
+
+        def exchange(self, command, table):
+            return self.answer("exchange")
+
+        def make_safe(self):
+            self.answer("make_safe")
+
+        def close(self):
+            self.closed = True
+
+        def answer(self, name):
+            if name in fails:
+                raise DeviceError(f"{name} fails")
+
+    device = Failing()
+    with pytest.raises(DeviceError, match="; ".join(f"{name} fails" for name in fails)):
+        read_at_rest(device, RIG, 1)
+    assert device.closed

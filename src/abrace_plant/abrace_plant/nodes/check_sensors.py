@@ -19,7 +19,7 @@ from abrace_core.errors import AbraceError
 from abrace_core.files import write_text
 from abrace_core.node import AbraceNode, Parameter, find_file, run
 from abrace_core.run import Run
-from abrace_plant.devices.device import Device, Reading
+from abrace_plant.devices.device import Device, Reading, give_up
 from abrace_plant.devices.file import load_device
 from abrace_plant.devices.sensor_check import check_sensors
 from abrace_plant.rig.file import load_rig
@@ -83,10 +83,15 @@ def read_at_rest(device: Device, rig: Rig, samples: int) -> list[Reading]:
     """Readings of the device with zero force and the table at rest."""
     device.open()
     try:
-        return [device.exchange([0.0] * rig.groups, 0.0) for _ in range(samples)]
-    finally:
+        readings = [device.exchange([0.0] * rig.groups, 0.0) for _ in range(samples)]
+    except BaseException as error:
+        give_up(device, error)
+        raise
+    try:
         device.make_safe()
+    finally:
         device.close()
+    return readings
 
 
 def main() -> int:
