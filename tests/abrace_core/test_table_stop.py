@@ -151,12 +151,13 @@ def test_the_state_is_the_exact_integral_of_an_acceleration_that_is_linear_betwe
 )
 @example(table=TABLE, acceleration=0.0, velocity=0.9, sign=1, displacement=0.2)
 @example(table=TABLE, acceleration=-1.0, velocity=0.01, sign=-1, displacement=0.0)
+@example(table=Table(13.0, 50.0, 1.0, 1.0), acceleration=-1.0, velocity=0.015625, sign=1, displacement=0.0)
 def test_the_turning_point_is_where_the_greatest_deceleration_ends_the_motion(
     table, acceleration, velocity, sign, displacement
 ):
     now, speed, most = acceleration * table.peak_acceleration, velocity * table.peak_velocity, table.peak_acceleration
-    step = (speed / most + 2 * most / table.peak_jerk) / 2000
-    fall = np.maximum(now - table.peak_jerk * step * np.arange(2002), -most)
+    step = (speed / most + 2 * most / table.peak_jerk) / 200_000  # the standstill may come after a hundredth of them
+    fall = np.maximum(now - table.peak_jerk * step * np.arange(200_002), -most)
     speeds = speed + np.concatenate([[0.0], np.cumsum((fall[1:] + fall[:-1]) / 2 * step)])
     way = step * (np.sum(np.maximum(speeds, 0.0)) - speed / 2)
     found = turning_point(sign * now, sign * speed, displacement, table)
