@@ -2,6 +2,7 @@
 """What the shake table is allowed to do."""
 
 import math
+import random
 
 import numpy as np
 import pytest
@@ -83,6 +84,28 @@ def test_a_stop_that_misses_samples_ends_and_knows_its_velocity():
     assert 100 < step < 1000
     assert guard.state.velocity == pytest.approx(velocity, abs=1e-12)
     assert abs(velocity) < 0.02 * TABLE.peak_velocity
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.3])
+def test_no_stop_exceeds_the_limit_of_jerk_however_many_samples_it_misses(share):
+    chance = random.Random(1)
+    for _ in range(300):
+        guard = TableGuard(TABLE, PERIOD)
+        for _ in range(chance.randint(1, 7)):
+            acceleration = chance.choice((1e9, -1e9, 0.0, 1.0))
+            for _ in range(chance.randint(1, 20)):
+                guard.follow([acceleration])
+        guard.begin_to_rest()
+        step = 0
+        while not guard.at_rest:
+            last = guard.value[0]
+            guard.come_to_rest(chance.randint(2, 12) if chance.random() < share else 1)
+            assert abs(guard.value[0] - last) <= TABLE.peak_jerk * PERIOD * (1 + 1e-9)
+            assert abs(guard.value[0]) <= TABLE.peak_acceleration * (1 + 1e-9)
+            step += 1
+            assert step < 2000, "it ends"
+        assert guard.value == [0.0]
+        assert abs(guard.state.velocity) <= 0.02 * TABLE.peak_velocity
 
 
 def test_a_table_that_is_left_alone_does_not_drift():

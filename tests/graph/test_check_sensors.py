@@ -103,7 +103,7 @@ def test_a_device_that_fails_is_closed_and_every_reason_is_said(fails):
         def open(self):
             self.closed = False
 
-        def exchange(self, command, table):
+        def exchange(self, *_):
             return self.answer("exchange")
 
         def make_safe(self):

@@ -101,13 +101,22 @@ class TableGuard:
         return self._stop is None or self._stop.done
 
     def come_to_rest(self, samples: int = 1) -> None:
-        """Advance the stop by this number of `samples`; in all but the last the table could not be commanded."""
+        """Advance the stop by this number of `samples`; in all but the last the table could not be commanded.
+
+        Where it would then continue with a step beyond the limit of jerk, another one begins from here.
+        """
         stop = self._stop
         assert stop is not None
         self.state.hold(samples - 1)
         for _ in range(samples - 1):
             stop.next()
-        self._go(stop.next())
+        acceleration = stop.next()
+        if samples > 1 and abs(acceleration - self.value[0]) > self._step:
+            self.begin_to_rest()
+            stop = self._stop
+            assert stop is not None
+            acceleration = stop.next()
+        self._go(acceleration)
         if stop.done and abs(self.state.velocity) > self._slow:
             self.begin_to_rest()
 
