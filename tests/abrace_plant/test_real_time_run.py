@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run by the clock, with a device that fails, delays and ends as it is told."""
 
+import random
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from abrace_core.safety.rig_safety import RigSafety, State
 from abrace_core.wire import LAST
 from abrace_plant.devices.device import DeviceError, Reading
 from abrace_plant.devices.simulated import SimulatedRig
+from abrace_plant.live import real_time
 from abrace_plant.live.loop import RigLoop, rig_outputs
 from abrace_plant.live.real_time import RealTimeRun, command_zeros
 from abrace_plant.rig.file import load_rig
@@ -36,10 +39,11 @@ class Bench:
         self.samples = []
         self.over = threading.Event()
         device.open()
-        self.run = RealTimeRun(
-            self.loop, device, period, self.lock, self.samples.append, self.over.set, prepare=lambda: None
-        )
+        self.run = RealTimeRun(self.loop, device, period, self.lock, self.publish, self.over.set, prepare=lambda: None)
         self.run.start()
+
+    def publish(self, sample) -> None:
+        self.samples.append(sample)
 
     def until(self, holds) -> None:
         deadline = time.monotonic() + 20
@@ -180,11 +184,57 @@ def test_a_tick_is_never_ahead_of_the_clock(rig):
 def test_the_answers_to_a_sample_have_until_a_share_of_the_period_after_its_tick(rig):
     class Late(SimulatedRig):
         def exchange(self, command, table):
-            return super().exchange(command, table)._replace(age=50.0)
+            return super().exchange(command, table)._replace(age=1.7)
 
-    minute = Bench(rig, Late(rig, 1, by_the_clock=False), period=60.0)
-    minute.until(lambda: len(minute.samples) >= 100)
-    minute.end()
+    slow = Bench(rig, Late(rig, 1, by_the_clock=False), period=2.0)
+    slow.until(lambda: len(slow.samples) >= 100)
+    slow.end()
+
+
+def test_a_rig_that_is_held_up_sends_no_step_beyond_the_rate_limit_from_tick_to_tick(rig, monkeypatch):
+    """The clock is ours: else whatever else holds this thread up would count."""
+
+    class Clock:
+        now = 0.0
+
+        def monotonic(self) -> float:
+            self.now += 1e-6
+            return self.now
+
+    class Target(Scripted):
+        """Has ticks of its own, and uses at each the last command that was sent before it."""
+
+        def exchange(self, command, table) -> Reading:
+            self.sent.append((clock.monotonic(), command[0]))
+            self.ticks.append(self.ticks[-1] + PERIOD if self.ticks else clock.now)
+            clock.now = max(clock.now, self.ticks[-1])
+            return self.rig.exchange(command, table)._replace(age=clock.monotonic() - self.ticks[-1])
+
+    clock = Clock()
+    monkeypatch.setattr(real_time, "time", clock)
+    warned = {name: replace(one, action="warn") for name, one in rig.interlocks.items()}
+    rig = replace(rig, interlocks=warned)
+    device = Target(rig, lambda _: None)
+    device.ticks = []
+    chance = random.Random(1)
+
+    class HeldUp(Bench):
+        """Answers with the greatest forces, to and fro; now and then the loop is held up, for up to three ticks."""
+
+        def publish(self, sample) -> None:
+            super().publish(sample)
+            number = sample.head.sequence
+            self.loop.receive_command(1, number, [24e3 if number // 8 % 2 else -24e3], "")
+            clock.now += PERIOD * (chance.uniform(1.0, 3.0) if chance.random() < 0.1 else chance.uniform(0.0, 0.7))
+
+    bench = HeldUp(rig, device)
+    bench.until(lambda: len(bench.samples) > 2000)
+    bench.end()
+    sent, forces = np.array(device.sent).T
+    used = np.searchsorted(sent, device.ticks)
+    at_ticks = forces[used[used > 0] - 1]
+    assert np.abs(at_ticks).max() == 24e3
+    assert np.abs(np.diff(at_ticks)).max() <= 5e6 * PERIOD * (1 + 1e-12)
 
 
 def test_zeros_are_commanded_to_a_device_that_follows_only_after_a_while(rig):

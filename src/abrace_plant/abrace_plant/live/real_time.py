@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from typing import TYPE_CHECKING
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 ANSWER_SHARE = 0.8
 """Share of the sample period after its tick within which answers to a sample must arrive; later ones act a sample
 later."""
+SENDING_SHARE = 0.1
+"""Share of the sample period that a command may take until the device has it."""
 
 
 def command_zeros(device: Device, groups: int, samples: int, patience: float) -> None:
@@ -113,21 +116,26 @@ class RealTimeRun(threading.Thread):
     def _run(self) -> None:
         self._prepare()
         loop, period, monotonic = self._loop, self._period, time.monotonic
-        tick, samples = monotonic(), 1
+        tick, samples, acted = monotonic(), 1, -math.inf
         while not loop.ended:
             with self._answered:
                 self._answered.wait_for(loop.all_answered, tick + ANSWER_SHARE * period - monotonic())
-                force, table = loop.act(samples)
+                # the last command may have come after this tick: with another one there would be two steps at the next
+                if tick > acted + SENDING_SHARE * period:
+                    force, table = loop.act(samples)
+                    samples, acted = 0, monotonic()
             try:
                 reading = self._device.exchange(force, table)
             except DeviceError as error:
                 # a device that fails at once would be asked thousands of times a second, and ramps would be as fast
                 time.sleep(max(0.0, tick + period - monotonic()))
                 now = monotonic()
-                tick, samples = now, max(1, round((now - tick) / period))
+                tick, failed = now, max(1, round((now - tick) / period))
+                samples += failed
                 with self._answered:
-                    loop.fail(str(error), samples)
+                    loop.fail(str(error), failed)
                 continue
-            tick, samples = monotonic() - max(0.0, reading.age), 1 + reading.missed
+            tick = monotonic() - max(0.0, reading.age)
+            samples += 1 + reading.missed
             with self._answered:
                 self._publish(loop.take(reading))
