@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import sys
 import time
@@ -22,11 +23,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from controller_speed import lqg3
+from geometry_msgs.msg import AccelStamped
 from isolation import isolated
 from running_graph import Graph, graph_of_its_own
 
 from abrace_core.controller_file import save_controller
-from abrace_core.node.conventions import LOCKSTEP_STREAM_QOS
+from abrace_core.node.conventions import KEPT_STREAM_QOS, LOCKSTEP_STREAM_QOS
 from abrace_core.wire import LAST, Responses, read_header
 from abrace_interfaces.msg import Response
 
@@ -40,6 +42,8 @@ MEMORY_LIMIT = 1.0
 SETTLED = 60.0
 LOOK_AFTER = 1000
 """Samples after which the memory is looked at."""
+UNWATCHED = "ground_motion_unwatched"
+"""Topic of the motion before it has gone through our hands."""
 BLOCK = 10_000
 SEQUENCE_SIZE = RUN_SIZE = 8
 """Bytes of the first two fields after the header; the second one differs between two runs."""
@@ -55,6 +59,8 @@ class Watch:
         self._digest = hashlib.blake2b()
         self._run = self._sequence = -1
         graph.node.create_subscription(Response, "response", self._on_response, LOCKSTEP_STREAM_QOS, raw=True)
+        relay = graph.publisher(AccelStamped, "ground_motion")
+        graph.node.create_subscription(AccelStamped, UNWATCHED, relay.publish, KEPT_STREAM_QOS, raw=True)
 
     def _on_response(self, payload: bytes) -> None:
         _, head, _ = self._responses.unpack(payload)
@@ -106,26 +112,35 @@ def grown_mb(looks: Sequence[Look]) -> dict[str, float]:
 
 
 def run_in_lockstep(graph: Graph, seconds: float, samples: int) -> tuple[list[Look], dict[str, Any]]:
-    """Two runs, together of so many `seconds` or `samples`, whichever is less: memory, and what is listed above."""
+    """Two runs, together of so many `seconds` or `samples`, whichever is less: memory, and what is listed above.
+
+    The samples of a run are counted from its first look at the memory on: a node may go on for thousands before it
+    hears that it is to stop. The motion goes through our hands, so that the rig is never ahead of us: the samples that
+    it keeps for a slow subscriber take memory, too.
+    """
     save_controller(lqg3(), graph.folder / "lqg3.yaml")
     inputs = ["brace_command", "ground_motion"]
     graph.start("plant", lockstep=True, wait_for=inputs, autostart=False)
-    graph.start("ground_motion", record="white_noise", rms=0.1, duration=240.0, autostart=False)
+    through_us = ("-r", f"ground_motion:={UNWATCHED}")
+    graph.start("ground_motion", *through_us, record="white_noise", rms=0.1, duration=240.0, autostart=False)
     graph.start("controller", "--params-file", graph.folder / "lqg3.yaml")
     for name in ("plant", "ground_motion"):
         assert graph.change_state(name, "configure")
     watch = Watch(graph)
     graph.until_matched("plant", response=3, ground_motion=1, brace_command=1)
+    graph.until_matched("ground_motion", response=1, ground_motion=1)
     assert graph.change_state("ground_motion", "activate")
     looks: list[Look] = []
     begun = time.monotonic()
     for run in (1, 2):
         assert graph.change_state("plant", "activate")
-        while time.monotonic() < begun + run * seconds / 2 and watch.samples < run * samples / 2:
+        end = math.inf
+        while time.monotonic() < begun + run * seconds / 2 and watch.samples < end:
             count = watch.samples + LOOK_AFTER
             graph.until(lambda count=count: watch.samples >= count, "samples")  # type: ignore[misc]
             memory = {name: resident_mb(process.group) for name, process in graph.started.items()}
             looks.append(Look(run, time.monotonic() - begun, watch.samples, memory))
+            end = min(end, watch.samples + samples / 2)
         assert graph.change_state("plant", "deactivate")
         graph.until(lambda run=run: watch.ended == run, "the last sample")  # type: ignore[misc]
     first, second = watch.runs
