@@ -2,6 +2,7 @@
 """A run by the clock, with a device that fails, delays and ends as it is told."""
 
 import random
+import subprocess
 import threading
 import time
 from dataclasses import replace
@@ -9,11 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from emulated_target import TICKING, EmulatedTarget
+from udp_target import device_file
 
 from abrace_core.safety.rig_safety import RigSafety, State
 from abrace_core.wire import LAST
 from abrace_plant.devices.device import DeviceError, Reading
 from abrace_plant.devices.simulated import SimulatedRig
+from abrace_plant.devices.udp import load
 from abrace_plant.live import real_time
 from abrace_plant.live.loop import RigLoop, rig_outputs
 from abrace_plant.live.real_time import RealTimeRun, command_zeros
@@ -235,6 +239,38 @@ def test_a_rig_that_is_held_up_sends_no_step_beyond_the_rate_limit_from_tick_to_
     at_ticks = forces[used[used > 0] - 1]
     assert np.abs(at_ticks).max() == 24e3
     assert np.abs(np.diff(at_ticks)).max() <= 5e6 * PERIOD * (1 + 1e-12)
+
+
+def test_commands_that_are_lost_or_late_make_no_step_beyond_the_rate_limit_at_the_target(rig, tmp_path):
+    path = device_file(tmp_path, timeout=0.1)
+    target = EmulatedTarget(path)
+    process = subprocess.Popen([str(part) for part in target.command], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout.readline() == f"{TICKING}\n"
+        warned = {name: replace(one, action="warn") for name, one in rig.interlocks.items()}
+        rig = replace(rig, interlocks=warned)
+        device = load(path, rig)
+
+        class Following(Bench):
+            """Answers with the greatest forces, to and fro, and at once."""
+
+            def publish(self, sample) -> None:
+                super().publish(sample)
+                number = sample.head.sequence
+                if number > 100:  # the target follows by then
+                    self.loop.receive_command(1, number, [24e3 if number // 8 % 2 else -24e3], "")
+                    self.loop.receive_ground_acceleration(sample.stamp, 0.0)
+
+        bench = Following(rig, device)
+        assert target.ask("command.loss=0.05") == target.ask("command.jitter=0.0005") == "ok"
+        bench.until(lambda: bench.loop.sequence > 2000)
+        bench.end()
+        found = target.report()
+    finally:
+        process.terminate()
+        process.communicate(timeout=20)
+    assert found["worst_force"] == 24e3
+    assert found["worst_step_over_rate_limit"] <= 1 + 1e-9
 
 
 def test_zeros_are_commanded_to_a_device_that_follows_only_after_a_while(rig):

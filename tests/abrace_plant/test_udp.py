@@ -28,7 +28,7 @@ from udp_target import (
 
 from abrace_core.errors import AbraceError
 from abrace_plant.devices.device import DeviceError
-from abrace_plant.devices.udp import LAST_COMMANDS, load
+from abrace_plant.devices.udp import LAST_COMMANDS, SLOWER, load
 
 
 @pytest.fixture
@@ -68,6 +68,25 @@ def test_samples_that_wait_after_a_hold_up_are_used_one_after_the_other_and_are_
     assert all(reading.age >= 1.5e-9 * PERIOD for reading in readings)
     assert (np.diff([reading.age for reading in readings]) < 0).all()
     assert (np.diff([reading.stamp for reading in readings]) > 0).all()
+
+
+def test_a_command_that_is_late_or_lost_is_told_once(target):
+    """The target's ticks have the second command late, and the fifth never."""
+    target.answered()
+
+    def tick(reached: int) -> bool:
+        """The target ticks with so many commands; whether the reading says that none is missing."""
+        target.counter += 1
+        target.send(target.samples.encode(values_of(target.counter), target.counter, target.counter * PERIOD, reached))
+        return target.device.exchange([0.0], 0.0).taken
+
+    first = target.last.counter
+    reached = [1, 1, 3, 4, 4, 6]
+    assert [tick(first + one) for one in reached] == [True, False, True, True, False, True]
+    # a link that has become slower by a tick
+    assert [tick(first + one) for one in range(6, 14)] == [False] * SLOWER + [True] * 3
+    # and is quicker from time to time
+    assert [tick(first + one) for one in (15, 15, 16, 18)] == [True, False, False, True]
 
 
 def test_after_a_pause_longer_than_the_time_out_the_newest_sample_is_used_and_the_others_are_missed(tmp_path):

@@ -31,6 +31,9 @@ class Reading(NamedTuple):
     """Ticks of the hardware since the last reading that were not answered in time."""
     age: float = 0.0
     """Seconds since that tick. Its answers have so much less time; at a sample period or more the reading is late."""
+    taken: bool = True
+    """False: by that tick a command had been late, or lost on the way. The next one is then the last one again, since two
+    changes would be one step at the next tick."""
 
 
 class Device(Protocol):

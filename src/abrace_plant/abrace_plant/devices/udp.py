@@ -48,6 +48,8 @@ BUFFER = 1 << 20
 """Bytes of packets that the socket buffers, as far as the system allows."""
 LARGEST_RESOLUTION = 0.25
 """Of a target's time, in ticks: counter and time have to agree better than to half a tick."""
+SLOWER = 10
+"""Ticks in a row with more commands on the way than before, after which the link or the target counts as slower."""
 LAST_COMMANDS = 3
 """Packets with `enable` 0 that `make_safe` sends; several, as packets may be lost."""
 
@@ -229,7 +231,7 @@ class UdpDevice:
             self._exchanged = 0.0
             raise DeviceError(f"{self._name}: has not taken a command for {1e3 * self.file.timeout:g} ms")
         values, clipped = self.calibration.measured(np.array(content.signals, dtype=np.float64))
-        return Reading(values, self._stamp, clipped, self._ticks - 1, self._age)
+        return Reading(values, self._stamp, clipped, self._ticks - 1, self._age, self._taken(content))
 
     def make_safe(self) -> None:
         """Tell the target to bring force and table to rest by itself, and send nothing more: its life counter stops.
@@ -264,6 +266,7 @@ class UdpDevice:
         self._exchanged = self._heard = 0.0
         self._used = time.monotonic_ns()
         self._answered: int | None = None
+        self._usual, self._slower = self._echo, 0
         self._tick_0: int | None = None
         self._waiting: deque[tuple[Content, int, int, float]] = deque()
         self._stamp = self._newest = self._since = self._ticks = 0
@@ -346,6 +349,18 @@ class UdpDevice:
             behind = (self._counter - content.answered) % self._echo
             if behind <= self._allowed:
                 self._answered, self._heard = content.answered, time.monotonic()
+
+    def _taken(self, content: Content) -> bool:
+        """Whether at this sample's tick no more commands were on the way than usual."""
+        if content.answered is None:
+            return True
+        behind = (self._counter - content.answered) % self._echo
+        self._slower = self._slower + 1 if behind > self._usual else 0
+        if self._slower <= SLOWER:
+            self._usual = min(behind, self._usual)
+            return self._slower == 0
+        self._usual, self._slower = behind, 0
+        return True
 
     def _by_ticks(self, now: int) -> int:
         """Time of a target that sends none, by its ticks, at `now`, both [ns]; they may not run ahead of our clock."""

@@ -116,12 +116,12 @@ class RealTimeRun(threading.Thread):
     def _run(self) -> None:
         self._prepare()
         loop, period, monotonic = self._loop, self._period, time.monotonic
-        tick, samples, acted = monotonic(), 1, -math.inf
+        tick, samples, acted, taken = monotonic(), 1, -math.inf, True
         while not loop.ended:
             with self._answered:
                 self._answered.wait_for(loop.all_answered, tick + ANSWER_SHARE * period - monotonic())
                 # the last command may have come after this tick: with another one there would be two steps at the next
-                if tick > acted + SENDING_SHARE * period:
+                if taken and tick > acted + SENDING_SHARE * period:
                     force, table = loop.act(samples)
                     samples, acted = 0, monotonic()
             try:
@@ -130,12 +130,12 @@ class RealTimeRun(threading.Thread):
                 # a device that fails at once would be asked thousands of times a second, and ramps would be as fast
                 time.sleep(max(0.0, tick + period - monotonic()))
                 now = monotonic()
-                tick, failed = now, max(1, round((now - tick) / period))
+                tick, taken, failed = now, True, max(1, round((now - tick) / period))
                 samples += failed
                 with self._answered:
                     loop.fail(str(error), failed)
                 continue
-            tick = monotonic() - max(0.0, reading.age)
+            tick, taken = monotonic() - max(0.0, reading.age), reading.taken
             samples += 1 + reading.missed
             with self._answered:
                 self._publish(loop.take(reading))
