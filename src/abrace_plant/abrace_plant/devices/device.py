@@ -32,7 +32,7 @@ class Reading(NamedTuple):
     age: float = 0.0
     """Seconds since that tick. Its answers have so much less time; at a sample period or more the reading is late."""
     taken: bool = True
-    """False: by that tick a command had been late, or lost on the way. The next one is then the last one again, since two
+    """False: a command was late for that tick, or lost on the way. The next one is then the last one again, since two
     changes would be one step at the next tick."""
 
 
