@@ -228,7 +228,7 @@ class Rig:
             f"force on {within} samples after sample {since}; {self.last.cause}"
         )
         self.note_device()
-        assert self.worst_step_at_device <= 1.0, "a step beyond the rate limit at the device"
+        assert self.worst_step_at_device <= 1 + 1e-9, "a step beyond the rate limit at the device"
         assert worst_step(self.responses) <= 1.0, "a step beyond the rate limit"
 
 

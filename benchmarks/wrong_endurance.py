@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Endurance of all nodes: messages of right types and wrong content on every topic and service that their graph has.
 
+Beside these the rig gets as many answers of right form, with any finite values, from a sender that is alone.
+
 One graph with all nodes around `sensor_bridge`, whose device is the emulator, and a viewer's client and an operator's
 page that are open; another with `plant` and those that drive it. Offline programs are in neither: they subscribe to
 nothing and offer no service.
@@ -140,8 +142,8 @@ class Driven:
         rig = self.wrong.rig
         return rig.state in ACTING and any(rig.command)
 
-    def go_on(self) -> None:
-        """Clear what there is, and play the signals again if they are over."""
+    def clear(self) -> None:
+        """Clear what there is."""
         self.wrong.spin(0.01)
         if self.wrong.rig.state not in ACTING:
             self.wrong.until(lambda: self.wrong.rig.state != Response.RAMPING_DOWN, "the rig to come to rest")
@@ -151,6 +153,10 @@ class Driven:
                 if name in self.graph.started:
                     self.clear_fault(name)
             self.wrong.spin(0.01)
+
+    def go_on(self) -> None:
+        """Clear what there is, and play the signals again if they are over."""
+        self.clear()
         if self.wrong.rig.state in ACTING and not any(self.wrong.rig.command):
             self.take("excitation", "deactivate", "activate")
             self.take("ground_motion", "deactivate", "cleanup", "configure", "activate")  # its action's calls are lost
@@ -240,7 +246,7 @@ def watch(port: str, token: str, page: str) -> None:
 
 def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random) -> dict[str, Any]:
     """So many `messages` on each topic and service of a graph: with all nodes around `sensor_bridge`, or `plant`."""
-    progress, died = Progress(3), 0
+    progress, died = Progress(4), 0
     wrong = WrongMessages(graph, chance)
     try:
         driven = Driven(graph, rig, wrong)
@@ -255,6 +261,11 @@ def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random
         graph.until(driven.acts, "the rig to act")
         with progress.step(f"topics of {rig}'s graph") as step:
             wrong.send(messages, driven.go_on, step.update)
+        with progress.step(f"answers to {rig}'s samples"):
+            for name in ("excitation", "ground_motion"):
+                driven.take(name, "deactivate")
+            wrong.answer(messages, driven.clear)
+            graph.until(driven.acts, "the rig to act")
         with progress.step(f"services of the others in {rig}'s graph") as step:
             driven.take(rig, "deactivate")  # the machine has other work
             wrong.ask(lambda name: name not in STREAMING, messages, lambda: None, step.update)
@@ -263,6 +274,7 @@ def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random
         for name in graph.started.keys() - set(STREAMING):
             died += graph.stop(name) != 0 and name != "watcher"
             del graph.started[name]
+        driven.clear()
         driven.take(rig, "activate")
         graph.until(driven.acts, "the rig to act")
         # in the other graph are the same drivers

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import importlib
+import math
 import re
 import time
 from collections import Counter
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
 FRAME = "elsewhere"
 """Frame of the wrong Responses and DiagnosticArrays, which distinguishes them from the nodes' own."""
 NUMBERS = (float("nan"), float("inf"), float("-inf"), 1.7e308, -1.7e308, 5e-324, 1e9, -1e9, 0.0, 1.0)
+FINITE = tuple(number for number in NUMBERS if math.isfinite(number))
 TEXTS = ("", "x", "x" * 5000, "\n", "../../..", "el_centro ", "nan", "ä", "²", "-1", "1e999", "9" * 5000)
 LENGTHS = (0, 0, 1, 1, 2, 3, 3, 5) * 3 + (300,)
 MOST_MESSAGES = 5
@@ -61,6 +63,8 @@ SLOW = "/zero_sensors"
 """A service that takes a second while the rig is at rest, and is called once at a time: all others of its node wait."""
 GROUP, PAUSE = 5, 0.004
 """Messages that are published in a row, and seconds after them: subscriptions keep ten."""
+HELD = 0.1
+"""Probability with which the next answer has another value."""
 TURN = 100
 """Messages after which the rig is made to act again."""
 TURN_PERIOD = 2.0
@@ -237,6 +241,7 @@ class WrongMessages:
         self.last: dict[str, Response] = {}
         """The last sample on each topic of samples."""
         self._over, self._end = Future(), 0.0
+        self._respond: Callable[[Response], object] = lambda _: None
         self._clients: dict[str, Client] = {}
         self.reported: dict[str, DiagnosticStatus] = {}
         """What each node has reported last."""
@@ -280,6 +285,7 @@ class WrongMessages:
                 forces = f"{last.command.tolist()} and {now.tolist()} N"
                 self.worst_between = f"samples {last.sequence} and {response.sequence}: {forces}"
         self.last[self._rig] = response
+        self._respond(response)
 
     @property
     def rig(self) -> Response:
@@ -371,6 +377,36 @@ class WrongMessages:
                     alternate()
             alternate()
         for publisher in publishers.values():
+            self.node.destroy_publisher(publisher)
+
+    def answer(self, count: int, alternate: Callable[[], object]) -> None:
+        """Answer `count` samples in which the rig acts, as its only sender: in right form, with any finite values."""
+        topics = (BraceCommand, "brace_command"), (AccelStamped, "ground_motion")
+        command, motion = (self.node.create_publisher(*topic, OFFERED) for topic in topics)
+        self.until(lambda: command.get_subscription_count() and motion.get_subscription_count(), "the rig")
+        left, last, values = count, time.monotonic(), [0.0, 0.0]
+
+        def respond(response: Response) -> None:
+            nonlocal left, last, values
+            acting = response.state in ACTING
+            if self.chance.random() < HELD:
+                values = self.chance.choices(FINITE, k=2)
+            force, acceleration = values if acting else (0.0, 0.0)
+            run, sequence = response.run, response.sequence
+            command.publish(BraceCommand(run=run, sequence=sequence, force=[force] * len(response.command)))
+            message = AccelStamped(header=response.header)
+            message.accel.linear.x = acceleration
+            motion.publish(message)
+            if acting:
+                left, last = left - 1, time.monotonic()
+
+        self._respond = respond
+        while left > 0:
+            self.spin(0.1)
+            assert time.monotonic() < last + PATIENCE, f"the rig does not act; {self.graph.reported()}"
+            alternate()
+        self._respond = lambda _: None
+        for publisher in (command, motion):
             self.node.destroy_publisher(publisher)
 
     def _message(self, name: str, kind: type) -> Any:
