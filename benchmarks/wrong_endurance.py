@@ -51,7 +51,7 @@ from std_srvs.srv import Trigger
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
 from udp_target import CONFIG, RIG, device_file
-from wrong_messages import UNSERVED, WrongMessages
+from wrong_messages import WrongMessages
 
 from abrace_core.controller_file import save_controller
 from abrace_core.progress import Progress
@@ -252,7 +252,7 @@ def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random
         driven = Driven(graph, rig, wrong)
         if rig == "sensor_bridge":
             start_others(graph, wrong)
-        reporting = graph.started.keys() - UNSERVED
+        reporting = set(graph.started)
         graph.until(lambda: reporting <= graph.statuses.keys(), f"all of {', '.join(sorted(reporting))}")
         if rig == "sensor_bridge":
             open_pages(graph, wrong)
@@ -261,10 +261,10 @@ def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random
         graph.until(driven.acts, "the rig to act")
         with progress.step(f"topics of {rig}'s graph") as step:
             wrong.send(messages, driven.go_on, step.update)
-        with progress.step(f"answers to {rig}'s samples"):
+        with progress.step(f"answers to {rig}'s samples") as step:
             for name in ("excitation", "ground_motion"):
                 driven.take(name, "deactivate")
-            wrong.answer(messages, driven.clear)
+            wrong.answer(messages, driven.clear, step.update)
             graph.until(driven.acts, "the rig to act")
         with progress.step(f"services of the others in {rig}'s graph") as step:
             driven.take(rig, "deactivate")  # the machine has other work

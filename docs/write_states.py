@@ -79,14 +79,15 @@ lockstep, `supervisor`, `jitter`, `operator` with an open page, `viewer` with a 
 `plant`, `excitation` and `ground_motion`. No node may end. Every command, as the samples report it and as the emulated
 device receives it before it limits it, has to be finite and within capacity, and every step within the rate limit; the
 table's acceleration and its steps likewise. Whenever that has stopped the rig, the fault is cleared and force acts
-again. Transitions that the life cycle has are not requested: a node that is shut down has to end. Nobody answers the
-services of `supervisor` itself, those of its second node are called.
+again. Transitions that the life cycle has are not requested: a node that is shut down has to end. As many samples are
+then answered by a sender that is alone, in right form and with any finite values: these commands act, up to capacity,
+peak acceleration, rate limit and limit of jerk.
 
 `make soak` also runs 20 minutes of lockstep (`python benchmarks/lockstep_endurance.py`): no node may grow by 1 MB after
 the first minute, and two runs have to give the same bytes.
 
 `make test` has a short form of each: one run of killed, stopped and flooding behind bridge and emulator, 10 wrong
-messages of each kind, 11 000 samples of lockstep with at most 0.2 MB in the last 4000, and four
+messages of each kind, two runs of lockstep with at most 0.2 MB in the last 5500 samples, and four
 [interlocks](planted_causes.md) tripped on the running node.
 
 A rig whose loop was delayed begins its ramp when it detects the delay: the time before does not count, and during the

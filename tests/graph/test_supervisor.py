@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from rcl_interfaces.srv import ListParameters
 
 from abrace_bags import read_run, read_runs
 from abrace_core.node.conventions import LOCKSTEP_STREAM_QOS
@@ -21,6 +22,8 @@ def test_a_test_begins_when_it_is_recorded_and_ends_after_its_signal_whoever_lis
     graph.start("excitation", duration=2.0)
     graph.until(lambda: graph.values("plant").get("subscribers of response") == "2", "the viewer and the excitation")
     assert not viewer, "nothing is sampled before the logger is there"
+    answer = graph.call(ListParameters, "supervisor/list_parameters", ListParameters.Request())
+    assert {"inputs", "signals"} <= set(answer.result.names)
     graph.start("logger", output=str(bag), lockstep=True)
     assert graph.ended("supervisor") == 0, graph.output_of("supervisor")
     assert graph.state("plant") == "inactive"

@@ -71,8 +71,6 @@ TURN_PERIOD = 2.0
 """Seconds after which it is, while services are called."""
 AGAIN = 3.0
 """Seconds after which a first call is repeated: a server drops its answer to a client that it has not discovered."""
-UNSERVED = ("supervisor",)
-"""Nodes that answer no service, beside the hidden ones, which are only inputs: it spins its second node alone."""
 LOST = 10.0
 """Seconds after which unanswered calls are repeated."""
 PATIENCE = 60.0
@@ -343,9 +341,9 @@ class WrongMessages:
         return {name: interface(types[0], "msg") for one in found for name, types in sorted(one)}
 
     def find_services(self, wanted: Callable[[str], bool]) -> dict[str, type]:
-        """Every service that a node of a `wanted` name offers and answers, those of actions as well, and its type."""
-        served = [node for node in self.nodes() if node[0] not in UNSERVED and not node[0].startswith("_")]
-        nodes = [node for node in served if wanted(node[0])]
+        """Every service that a node of a `wanted` name offers, those of actions as well, and its type."""
+        hidden = "_"  # nodes that are only inputs, and answer nothing
+        nodes = [node for node in self.nodes() if wanted(node[0]) and not node[0].startswith(hidden)]
         found = [self.node.get_service_names_and_types_by_node(*node) for node in nodes]
         return {name: interface(types[0], "srv") for one in found for name, types in sorted(one)}
 
@@ -379,8 +377,11 @@ class WrongMessages:
         for publisher in publishers.values():
             self.node.destroy_publisher(publisher)
 
-    def answer(self, count: int, alternate: Callable[[], object]) -> None:
-        """Answer `count` samples in which the rig acts, as its only sender: in right form, with any finite values."""
+    def answer(self, count: int, alternate: Callable[[], object], tell: Callable[[float, str], object]) -> None:
+        """Answer `count` samples in which the rig acts, as its only sender: in right form, with any finite values.
+
+        `alternate` and `tell` as of `send`.
+        """
         topics = (BraceCommand, "brace_command"), (AccelStamped, "ground_motion")
         command, motion = (self.node.create_publisher(*topic, OFFERED) for topic in topics)
         self.until(lambda: command.get_subscription_count() and motion.get_subscription_count(), "the rig")
@@ -404,6 +405,7 @@ class WrongMessages:
         while left > 0:
             self.spin(0.1)
             assert time.monotonic() < last + PATIENCE, f"the rig does not act; {self.graph.reported()}"
+            tell(1 - max(left, 0) / count, f"{self.faults} faults")
             alternate()
         self._respond = lambda _: None
         for publisher in (command, motion):

@@ -9,12 +9,20 @@ those of nodes that report `signal` and `elapsed` in their diagnostics: `ground_
 
 from __future__ import annotations
 
+import threading
 import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from rclpy.executors import SingleThreadedExecutor
 
 from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
 from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceNode, Parameter, run
 from abrace_core.safety.rig_safety import RAMP_TIME
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 STUCK = 30.0
 """Seconds without progress of a signal that end a test."""
@@ -51,7 +59,8 @@ class Supervisor(AbraceNode):
 
     def work(self) -> None:
         """Begin, watch and end the test."""
-        with GraphMonitor(self.get_namespace(), self.held, "supervisor_monitor", self.enclave) as self.monitor:
+        watching = GraphMonitor(self.get_namespace(), self.held, "supervisor_monitor", self.enclave)
+        with self.answering(), watching as self.monitor:
             try:
                 self.begin()
                 self.watch()
@@ -63,6 +72,19 @@ class Supervisor(AbraceNode):
             self.finish(1, "; ".join(self.problems))
         else:
             self.finish(0, "the test is over")
+
+    @contextmanager
+    def answering(self) -> Iterator[None]:
+        """Have a thread answer the node's services, as whoever displays its parameters expects, and report."""
+        executor = SingleThreadedExecutor()
+        executor.add_node(self)
+        thread = threading.Thread(target=executor.spin, name="services")
+        thread.start()
+        try:
+            yield
+        finally:
+            executor.shutdown()
+            thread.join()
 
     def note_faults(self) -> None:
         """Keep the faults that nodes report, for the end: a person may clear them, and the test go on."""
