@@ -284,6 +284,7 @@ class WrongMessages:
                 self.worst_between = f"samples {last.sequence} and {response.sequence}: {forces}"
         self.last[self._rig] = response
         self._respond(response)
+        self._stop_late()
 
     @property
     def rig(self) -> Response:
