@@ -80,8 +80,8 @@ lockstep, `supervisor`, `jitter`, `operator` with an open page, `viewer` with a 
 device receives it before it limits it, has to be finite and within capacity, and every step within the rate limit; the
 table's acceleration and its steps likewise. Whenever that has stopped the rig, the fault is cleared and force acts
 again. Transitions that the life cycle has are not requested: a node that is shut down has to end. Up to 1000 samples
-are then answered by a sender that is alone, in right form and with any finite values: these commands act, up to capacity,
-peak acceleration, rate limit and limit of jerk.
+are then answered by a sender that is alone, in right form and with any finite values: these commands act, up to
+capacity, peak acceleration, rate limit and limit of jerk.
 
 `make soak` also runs 20 minutes of lockstep (`python benchmarks/lockstep_endurance.py`): no node may grow by 1 MB after
 the first minute, and two runs have to give the same bytes.
