@@ -84,9 +84,11 @@ def test_a_command_that_is_late_or_lost_is_told_once(target):
     reached = [1, 1, 3, 4, 4, 6]
     assert [tick(first + one) for one in reached] == [True, False, True, True, False, True]
     # a link that has become slower by a tick
-    assert [tick(first + one) for one in range(6, 14)] == [False] * SLOWER + [True] * 3
+    last = 6 + SLOWER + 3
+    assert [tick(first + one) for one in range(6, last)] == [False] * SLOWER + [True] * 3
     # and is quicker from time to time
-    assert [tick(first + one) for one in (15, 15, 16, 18)] == [True, False, False, True]
+    assert [tick(first + one) for one in (last + 1, last + 1, last + 2, last + 4)] == [True, False, False, True]
+    assert target.device.counters()["commands_late"] == 2 + SLOWER + 1 + 2
 
 
 def test_after_a_pause_longer_than_the_time_out_the_newest_sample_is_used_and_the_others_are_missed(tmp_path):

@@ -140,6 +140,8 @@ class UdpDevice:
         May be replaced between two exchanges.
     samples
         Good samples that came since `open`.
+    commands_late
+        Commands since then that were late or lost on the way, as far as the target's samples tell.
     dropped
         Packets that were not used since then, by the name of what was wrong with them.
     """
@@ -148,7 +150,7 @@ class UdpDevice:
         self, file: UdpFile, samples: Packet, commands: Packet, calibration: Calibration, sample_rate: float
     ) -> None:
         self.calibration = calibration
-        self.samples = 0
+        self.samples = self.commands_late = 0
         self.dropped: Counter[str] = Counter()
         self.file = file
         self._name = f"udp device {file.address}:{file.port}"
@@ -188,7 +190,7 @@ class UdpDevice:
         self._poll.register(self._socket, select.POLLIN)
         self._counter = 0
         self._last_outputs = self.calibration.outputs(self._still)
-        self.samples = 0
+        self.samples = self.commands_late = 0
         self.dropped.clear()
         self._begin()
         end = time.monotonic() + OPEN_TIME
@@ -256,8 +258,9 @@ class UdpDevice:
             self._socket = None
 
     def counters(self) -> dict[str, int]:
-        """Good samples since `open`, and dropped packets by name."""
-        return {"samples": self.samples} | {f"dropped_{name}": count for name, count in sorted(self.dropped.items())}
+        """Good samples since `open`, commands that were late, and dropped packets by name."""
+        counts = {"samples": self.samples, "commands_late": self.commands_late}
+        return counts | {f"dropped_{name}": count for name, count in sorted(self.dropped.items())}
 
     def _begin(self) -> None:
         """Take the next samples that follow each other, whatever their counter and time."""
@@ -355,10 +358,11 @@ class UdpDevice:
         if content.answered is None:
             return True
         behind = (self._counter - content.answered) % self._echo
-        self._slower = self._slower + 1 if behind > self._usual else 0
-        if self._slower <= SLOWER:
-            self._usual = min(behind, self._usual)
-            return self._slower == 0
+        if behind > self._usual:
+            self.commands_late += 1
+            self._slower += 1
+            if self._slower <= SLOWER:
+                return False
         self._usual, self._slower = behind, 0
         return True
 
