@@ -153,6 +153,25 @@ def test_a_goal_is_refused_while_another_plays(player):
     assert not player.send(record="el_centro").accepted
 
 
+def test_a_goal_whose_rig_has_gone_ends_with_the_clean_up_and_none_is_accepted_until_the_node_is_active_again(player):
+    graph = player.graph
+    handle = player.send(record="el_centro")
+    ended = handle.get_result_async()
+    graph.until(lambda: player.feedback, "the motion")
+    graph.kill("plant")
+    for transition in ("deactivate", "cleanup"):
+        assert graph.change_state("ground_motion", transition)
+    graph.until(ended.done, "the result")
+    assert ended.result().status == GoalStatus.STATUS_ABORTED
+    assert ended.result().result.message.startswith("stopped: ")
+    assert not player.send(record="el_centro").accepted
+    for transition in ("configure", "activate"):
+        assert not player.send(record="el_centro").accepted
+        assert graph.change_state("ground_motion", transition)
+    graph.start("plant", name="again", lockstep=True, wait_for=["brace_command", "ground_motion"])
+    graph.until(lambda: player.send(record="el_centro").accepted, "a goal that is accepted")
+
+
 def test_a_record_that_has_no_room_where_a_stop_left_the_table_is_not_begun_again(graph):
     # 0.15 m to one side in 1.5 s, a minute there, and back
     rate, move = 500.0, 1.5

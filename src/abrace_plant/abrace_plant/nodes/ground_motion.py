@@ -59,16 +59,7 @@ class GroundMotion(Commander):
         super().__init__("ground_motion", PARAMETERS)
         self.playback: Playback | None = None
         self.goal: ServerGoalHandle | None = None
-
-    def configure(self) -> None:
-        """Load the record that is played at once, create the topics and the action."""
-        given = self.parameters
-        self.rests_at, self.run_of_table = 0.0, -1
-        self.table = table_as_given(given)
-        self.first_motion = self.motion(given.record, given.peak_acceleration, given.duration) if given.record else None
-        self.cancelled = ""
-        self.answering.configure([], 1 / given.sample_rate, moving=self.moving)
-        self.publisher = self.publish_on(AccelStamped, "ground_motion", KEPT_STREAM_QOS)
+        # kept through every clean-up: rclpy 7.1 can crash where a server with requests and goals is destroyed
         self.server = PlayServer(
             self,
             PlayGroundMotion,
@@ -78,6 +69,16 @@ class GroundMotion(Commander):
             handle_accepted_callback=self.on_accepted,
             cancel_callback=self.on_cancel,
         )
+
+    def configure(self) -> None:
+        """Load the record that is played at once, create the topics."""
+        given = self.parameters
+        self.rests_at, self.run_of_table = 0.0, -1
+        self.table = table_as_given(given)
+        self.first_motion = self.motion(given.record, given.peak_acceleration, given.duration) if given.record else None
+        self.cancelled = ""
+        self.answering.configure([], 1 / given.sample_rate, moving=self.moving)
+        self.publisher = self.publish_on(AccelStamped, "ground_motion", KEPT_STREAM_QOS)
         self.listen()
 
     def motion(self, record: str, peak_acceleration: float, duration: float) -> np.ndarray:
@@ -124,15 +125,15 @@ class GroundMotion(Commander):
         return self.playback is None or self.playback.done or self.let_go
 
     def cleanup(self) -> None:
-        """Destroy the action server."""
+        """End the goal of a table that was let go."""
         super().cleanup()
-        self.server.destroy()
-        self.playback, self.goal = None, None
+        if self.playback is not None:
+            self.end_goal(self.playback)
+        self.playback = None
 
     def destroy_node(self) -> None:
         """Destroy the node, with its action server."""
-        if self.configured:
-            self.server.destroy()
+        self.server.destroy()
         super().destroy_node()
 
     def cancel(self) -> None:
@@ -196,15 +197,17 @@ class GroundMotion(Commander):
             return
         self.playback = self.play(self.first_motion)
 
+    def busy(self) -> str:
+        """Why no goal can be played now; empty: one can."""
+        if problem := self.fault or self.answering.held:
+            return problem
+        waiting = self.first_motion is not None and self.played_in_run < 0 and not self.cancelled
+        plays = self.playback is not None and not self.playback.done
+        return "a motion is playing" if waiting or plays else ""
+
     def on_goal(self, request: PlayGroundMotion.Goal) -> GoalResponse:
         """Accept a goal unless a motion plays or is about to, or nothing may act."""
-        waiting = self.first_motion is not None and self.played_in_run < 0 and not self.cancelled
-        busy = waiting or (self.playback is not None and not self.playback.done)
-        reason = (
-            "not active"
-            if not self.active
-            else self.fault or self.answering.held or ("a motion is playing" if busy else "")
-        )
+        reason = self.busy() if self.active else "not active"
         if reason:
             self.get_logger().error(f"play_ground_motion refused: {reason}")
             return GoalResponse.REJECT
