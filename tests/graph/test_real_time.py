@@ -233,7 +233,8 @@ def test_a_deactivated_commander_lets_go_smoothly_and_falls_silent(graph, contro
     assert graph.responses[-1].sequence - last.sequence > 80, "no more commands"
     assert last.force[0] == 0.0
     assert np.count_nonzero(force == 0.0) <= 2, "silent once it is zero"
-    assert len(force) - before >= RAMP_SAMPLES - 5
+    # a busy machine misses samples
+    assert last.sequence - graph.commands[before].sequence >= RAMP_SAMPLES - 5
     expect_smooth_end(force[-RAMP_SAMPLES:])
     graph.until_well("plant")
 
