@@ -8,7 +8,7 @@ SHELL := /bin/bash
 
 ENVIRONMENT := source ros2_ws/setup.bash
 # some tests wait: one more at a time than there are processors
-TEST_LIBRARIES := python -m pytest --numprocesses $$(( $$(nproc) + 1 )) --dist loadscope --ignore tests/graph
+TEST_LIBRARIES := python -m pytest --numprocesses $(shell expr $$(nproc) + 1) --dist loadscope --ignore tests/graph
 PACKAGES := abrace_core abrace_bags abrace_plant abrace_sysid abrace_lqg abrace abrace_bringup
 # what a build copies or generates; Python modules are linked, edits to them need no build
 BUILT_FROM := $(shell find src -name package.xml -o -name 'setup.*' -o -name CMakeLists.txt -o -name '*.msg' \
