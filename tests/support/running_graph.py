@@ -20,7 +20,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from isolation import own_shared_memory
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -92,7 +92,7 @@ class Graph:
         self.processes = processes
         with profile(streams=False):  # so that nodes that start later discover this one at once
             self.node: Node = rclpy.create_node("test", namespace=namespace, context=context)
-        self.executor = SingleThreadedExecutor(context=context)
+        self.executor = EventsExecutor(context=context)
         self.executor.add_node(self.node)
         self.started: dict[str, NodeProcess] = {}
         self.executables: set[str] = set()
