@@ -44,6 +44,8 @@ TARGET_PRIORITY = 70
 """Of the emulator, above the nodes' 50."""
 TRIES = 3
 """Attempts to have the rig running before a case begins: a machine that is blocked for 20 ms also causes a fault."""
+TABLE_FAR = 50.0
+"""Percent of the limit of the table's displacement; beyond it the next stop might not have the room that it needs."""
 FLOOD, FLOOD_RATE = 2000, 10_000
 """Messages, and a second."""
 DRIVEN: dict[str, Any] = {"rms": 4000.0, "duration": 60.0}
@@ -152,8 +154,10 @@ class Rig:
         """Clear all faults, and have the signal begin anew."""
         graph = self.graph
         graph.until(lambda: self.last.state == Response.LATCHED, "all to be at rest")
-        at_its_end = "displacement of the table" in self.last.cause
-        if at_its_end:  # after many stops: a person moves the table to the middle, docs/interlocks.md
+        # after many stops the table is far from the middle: a person moves it there, docs/interlocks.md
+        far = graph.values(self.name).get("interlock table_displacement", "0 % of its limit")
+        at_its_end = float(far.partition(" %")[0]) > TABLE_FAR
+        if at_its_end:
             self.take(self.name, "deactivate", "cleanup")
             if self.name == "sensor_bridge":
                 self.note_device()

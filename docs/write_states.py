@@ -62,10 +62,9 @@ stopped (SIGSTOP) and made to flood the rig, 100 times each, behind `sensor_brid
 be zero within `command_timeout`, ramp and 5 samples, with no step beyond the rate limit, in the samples and at the
 emulated actuators.
 
-Measured on two virtual processors beside other work: 98 of 98 pairs; 25 cases 20 of 20, `stop_during_el_centro` 18,
-`commander_deactivated` 19 and nothing but the loop in its thread 17 of 20, all while the machine stalled; killed 99,
-stopped 100, flooding 100 of 100; no step beyond the rate limit. Alone on the machine, after the last change of the
-loop: these three cases 20, 20 and 19 of 20 (one answer acted late), killed, stopped and flooding 20 of 20 each.
+Measured on two virtual processors with nothing else running: 98 of 98 pairs, 16 of 16 interlocks, each of the 28 cases
+20 of 20; killed, stopped and flooding 100 of 100 each; no step beyond the rate limit. With other work on the same
+processors up to 3 of 20 runs of three cases failed, while the machine stalled.
 
 A rig's fault before the controller is killed, stopped or floods is cleared, and `faults_before` counts it. Runs that
 fail while the machine itself stalls for 1 ms or more (`benchmarks/machine_stalls.py`) count as failed, and
