@@ -154,10 +154,10 @@ class Rig:
         """Clear all faults, and have the signal begin anew."""
         graph = self.graph
         graph.until(lambda: self.last.state == Response.LATCHED, "all to be at rest")
-        # after many stops the table is far from the middle: a person moves it there, docs/interlocks.md
-        far = graph.values(self.name).get("interlock table_displacement", "0 % of its limit")
-        at_its_end = float(far.partition(" %")[0]) > TABLE_FAR
-        if at_its_end:
+        # after many stops the table is far from the middle, or at its limit: a person moves it, docs/interlocks.md
+        share = graph.values(self.name).get("interlock table_displacement", "0 % of its limit").partition(" %")[0]
+        far = float(share) > TABLE_FAR or "displacement of the table" in self.last.cause
+        if far:
             self.take(self.name, "deactivate", "cleanup")
             if self.name == "sensor_bridge":
                 self.note_device()
@@ -165,7 +165,7 @@ class Rig:
                 self.start_target()
             self.take(self.name, "configure")
         graph.until(self.cleared, "the rig to be cleared")
-        if at_its_end:
+        if far:
             self.take(self.name, "activate")
         if self.commander == "controller":
             # where the stop left the table there may be no room for the record: a person moves it to the middle

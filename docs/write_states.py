@@ -63,8 +63,10 @@ be zero within `command_timeout`, ramp and 5 samples, with no step beyond the ra
 emulated actuators.
 
 Measured on two virtual processors with nothing else running: 98 of 98 pairs, 16 of 16 interlocks, each of the 28 cases
-20 of 20; killed, stopped and flooding 100 of 100 each; no step beyond the rate limit. With other work on the same
-processors up to 3 of 20 runs of three cases failed, while the machine stalled.
+20 of 20; killed, stopped and flooding 100 of 100 each; no step beyond the rate limit. `two_rigs` and the latter three
+are from a second run: in the first (19 of 20; 99, 98 and 97 of 100) the benchmark itself received samples too late, and
+once earlier stops had left the table near its limit. With other work on the same processors up to 3 of 20 runs of three
+cases failed, and 1 of 100 of killed, while the machine stalled.
 
 A rig's fault before the controller is killed, stopped or floods is cleared, and `faults_before` counts it. Runs that
 fail while the machine itself stalls for 1 ms or more (`benchmarks/machine_stalls.py`) count as failed, and

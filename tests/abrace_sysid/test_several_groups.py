@@ -70,7 +70,7 @@ def commands_of(five, rest, kind):
     return [laboratory.open_loop("bags/both", np.zeros(len(both)), both)]
 
 
-@pytest.mark.parametrize("kind", ["each group alone", "multisines at once"])
+@pytest.mark.parametrize("kind", ["each group alone", "noise at once", "multisines at once"])
 def test_two_brace_groups_are_identified_with_modes_common_to_all_tests(five, rest, table, kind):
     found = identify(table, commands_of(five, rest, kind), OPTIONS)
     assert not found.warnings

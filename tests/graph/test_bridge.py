@@ -129,7 +129,7 @@ def test_hardware_that_is_not_there_refuses_the_activation_and_is_taken_at_1_khz
 
 
 def test_hardware_is_zeroed_at_rest_alone_and_a_target_that_freezes_is_a_latched_fault(rig, emulate, tmp_path):
-    device = device_file(tmp_path, timeout=0.05, calibrated=True)
+    device = device_file(tmp_path, timeout=0.02, calibrated=True)
     emulator = emulate(device)
     # the bridge's own calibration: sensors that are not at zero, one of them further than may be zeroed
     content = yaml.safe_load((CONFIG / "device_parts/calibration.yaml").read_text())
@@ -182,7 +182,7 @@ def test_hardware_is_zeroed_at_rest_alone_and_a_target_that_freezes_is_a_latched
 
     stops = emulator.report()["stops"]
     emulator.ask("freeze=0.3")
-    rig.until_fault("sensor_bridge", "no sample for 50 ms; nothing arrived from")
+    rig.until_fault("sensor_bridge", "no sample for 20 ms; nothing arrived from")
     rig.until_fault("excitation", "no response for")
     rig.until(lambda: rig.responses[-1].state == Response.LATCHED, "all to be at rest")
     report = emulator.report()
