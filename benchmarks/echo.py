@@ -23,7 +23,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.utilities import remove_ros_args
 
-from abrace_core.node import STREAM_QOS
+from abrace_core.node import STREAM_QOS, real_time
 from abrace_interfaces.msg import BraceCommand, Response
 
 if TYPE_CHECKING:
@@ -100,10 +100,11 @@ def ask(count: int, listeners: int, topics: list[str]) -> None:
 
 
 def main(priority: int, words: list[str]) -> None:
-    """Do what the `words` name, with a SCHED_FIFO `priority` where that is allowed; 0: none."""
+    """Do what the `words` name, with a SCHED_FIFO `priority`, processors awake, where that is allowed; 0: none."""
     if priority:
         with contextlib.suppress(PermissionError):  # the nodes of the graph run without it then, too
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        real_time.keep_processors_awake(lambda _: None)
     rclpy.init()  # its threads inherit the priority
     match words:
         case "answer", topic:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real-time settings of the loop's thread: scheduling priority, processor affinity, locked memory.
+"""Real-time settings of the loop's thread: scheduling priority, processor affinity, locked memory, awake processors.
 
 The parameters have the names of `ros2_control`. A setting that the machine does not allow is a warning with
 instructions; the node still runs, with the delays of an ordinary process.
@@ -12,6 +12,7 @@ import ctypes
 import gc
 import os
 import resource
+import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ PARAMETERS = (
     Parameter(
         "thread_priority",
         0,
-        "SCHED_FIFO priority of the loop, a rig's samples have one more; 0: normal scheduling",
+        "SCHED_FIFO priority of the loop, a rig's samples have one more; processors stay awake; 0: normal scheduling",
         minimum=0,
         maximum=98,
     ),
@@ -34,6 +35,9 @@ PARAMETERS = (
 _LIMITS = "as root: echo '@realtime - {limit}' >> /etc/security/limits.d/realtime.conf (docs/real_time.md)"
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CAP_IPC_LOCK = 1 << 14
+
+_WAKE_LATENCY = Path("/dev/cpu_dma_latency")
+"""Takes the longest time [us] in which the machine's processors may wake; it applies while the file is open."""
 
 GARBAGE_PERIOD = 60.0
 """Seconds between collections of new garbage, in the second thread. The loop makes no garbage, services little."""
@@ -92,6 +96,23 @@ def apply(given: Any, warn: Callable[[str], object]) -> None:
         except PermissionError:
             limit = _LIMITS.format(limit=f"rtprio {given.thread_priority + 1}")
             warn(f"thread_priority {given.thread_priority} is not allowed, samples may be late; {limit}")
+        keep_processors_awake(warn)
+
+
+def keep_processors_awake(warn: Callable[[str], object]) -> None:
+    """Let no processor of the machine sleep until this process ends.
+
+    The loop waits between two samples. A processor that sleeps meanwhile wakes late: by some 0.1 ms on a computer, by
+    up to 9 ms on a virtual one, whose host gives an idle processor to others. `warn`: called with a line if this is not
+    allowed.
+    """
+    try:
+        os.write(os.open(_WAKE_LATENCY, os.O_WRONLY), struct.pack("i", 0))
+    except OSError as error:
+        warn(
+            f"thread_priority: processors may sleep between samples, which may delay them; {_WAKE_LATENCY}: "
+            f"{error.strerror}, expected write access (docs/real_time.md)"
+        )
 
 
 def _lock_memory(warn: Callable[[str], object]) -> None:
