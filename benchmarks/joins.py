@@ -2,8 +2,10 @@
 """Nodes that join a running rig: a rig by the clock and its commander, while others come and go. For `make soak`.
 
 faults           joins at which the rig, with a `command_timeout` of 0.02 s as by default, let its braces go
+while_stalled    of them: the machine itself stalled for 1 ms or more during the join (machine_stalls.py)
 longest_hold_ms  the longest time for which one command was in force; each command is another force
 found_ms, found_ms_worst  from when a node has joined until it receives the rig's samples: median and worst
+found_ms_last_ten         median of the last ten: joins leave nothing behind that delays the next ones
 
 python benchmarks/joins.py COUNT
 """
@@ -20,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from isolation import isolated
+from machine_stalls import MachineStalls
 from rclpy.executors import SingleThreadedExecutor
 from running_graph import STREAM, Graph, graph_of_its_own
 
@@ -142,21 +145,26 @@ class DrivenRig:
 
 def joins(count: int = JOINS) -> dict[str, Any]:
     """So many joins, one after another; call it on a domain of one's own."""
-    with graph_of_its_own("/joins") as graph:
+    with graph_of_its_own("/joins") as graph, MachineStalls() as stalls:
         rig = DrivenRig(graph)
-        rig.longest = faults = 0
+        rig.longest = faults = stalled = 0
         for number in range(1, count + 1):
+            began = time.monotonic()
             if fault := rig.joined():
                 faults += 1
-                print(f"join {number}: {fault}", file=sys.stderr)
+                longest = max(stalls.since(began), default=0.0)
+                stalled += longest > 0
+                print(f"join {number}: {fault}; the machine stalled for {1e3 * longest:.1f} ms", file=sys.stderr)
                 rig.recover()
             print(f"join {number} of {count}: {faults} faults", end="\r", file=sys.stderr, flush=True)
         return {
             "joins": count,
             "faults": faults,
+            "while_stalled": stalled,
             "longest_hold_ms": SAMPLE_PERIOD_MS * rig.longest,
             "found_ms": statistics.median(rig.found),
             "found_ms_worst": max(rig.found),
+            "found_ms_last_ten": statistics.median(rig.found[-10:]),
         }
 
 

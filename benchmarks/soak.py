@@ -15,6 +15,8 @@ fragility a study whose workers, scheduler and command are killed 20 times: file
 hosts   controller and operator on another host than the rig, behind a link that is cut, delays and loses: cases that
         went as docs/network.md promises; needs root
 joins   100 nodes that join a running rig and leave: how often it found no command in time
+after   a stream of 1.8 million messages that nodes joined and left at its beginning: what it costs at both ends then,
+        with the lifespan of a rig's streams and without
 viewer  10 minutes with a viewer of all samples at 500 Hz, and 10 without, in turns: samples lost, 99.9 % of the loop;
         then one loop, 10 minutes with the viewer without an interruption, 5 minutes before and 5 after without
 page    the operator's page open for an hour at 500 Hz: what its server and the browser grow by; needs Chromium
@@ -31,6 +33,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from after_a_join import after_a_join
 from browser import CHROMIUM
 from campaign_endurance import campaign_endurance
 from controller_speed import lqg3
@@ -168,6 +171,7 @@ def main() -> int:
         logger |= flood_rates()
         ends = measure()
         joined = joins()
+        after = after_a_join()
         hosts: dict[str, Any] = {"not measured": no_hosts()} if no_hosts() else two_hosts()
         wrong = wrong_messages()
         lockstep = lockstep_endurance()
@@ -180,6 +184,7 @@ def main() -> int:
         "logger": logger,
         "ends": ends,
         "joins": joined,
+        "after_a_join": after,
         "hosts": hosts,
         "wrong": wrong,
         "lockstep": lockstep,
@@ -204,6 +209,13 @@ def main() -> int:
     print(Table("How nodes and launches end", ("what", "", "count"), counts).text())
     joining = tuple((name.replace("_", " "), f"{value:g}") for name, value in joined.items())
     print(Table("Nodes that join a running rig", ("what", "reached"), joining).text())
+    rows_after = tuple(
+        (name.replace("_", " "), f"{one['publisher']:.2f}", f"{one['subscriber']:.2f}", f"{one['publish_us'][1]:.0f}")
+        for name, one in after.items()
+        if isinstance(one, dict)
+    )
+    columns = ("stream", "publisher, of a processor", "subscriber", "99.9 % in publish, us")
+    print(Table(f"{after['messages']} messages after nodes joined", columns, rows_after).text())
     grown, at_device = lockstep["grown_mb"], {name.replace("_", " "): one for name, one in wrong["at_device"].items()}
     endured = (
         ("faults of a rig that nodes join", f"{joined['faults']}", "0"),

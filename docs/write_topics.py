@@ -157,6 +157,8 @@ def qos_words(qos: QoSProfile | int) -> str:
     transient = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
     kept = "keeps all" if qos.history == HistoryPolicy.KEEP_ALL else f"last {qos.depth}"
     words = ["best effort" if best_effort else "reliable", "transient local" if transient else "volatile", kept]
+    if qos.lifespan.nanoseconds:
+        words.append(f"lifespan {qos.lifespan.nanoseconds * 1e-9:g} s")
     return ", ".join(words)
 
 

@@ -16,6 +16,7 @@ from abrace_core.node.conventions import (
     TRANSIENT_LOCAL_QOS,
     AbraceNode,
     RCLError,
+    published_stream_qos,
     rcl_message,
 )
 from abrace_core.node.lifecycle import AUTOSTART, AbraceLifecycleNode
@@ -35,6 +36,7 @@ __all__ = [
     "RCLError",
     "declare",
     "find_file",
+    "published_stream_qos",
     "rcl_message",
     "run",
 ]

@@ -10,7 +10,7 @@ import time
 from typing import TYPE_CHECKING
 
 from abrace_core.latency import Latency
-from abrace_core.node import KEPT_STREAM_QOS, Parameter
+from abrace_core.node import Parameter, published_stream_qos
 from abrace_core.node.commander import Commander
 from abrace_core.safety.answering import HOLD, RESTART
 from abrace_core.safety.command_guard import CommandGuard
@@ -50,7 +50,7 @@ class BraceCommander(Commander):
         self.answering.configure([self.guard], sample_period, longest_gap)
         self.commands = BraceCommands()
         self.latency = Latency(sample_period)
-        self.publisher = self.publish_on(BraceCommand, "brace_command", KEPT_STREAM_QOS)
+        self.publisher = self.publish_on(BraceCommand, "brace_command", published_stream_qos())
         self.listen()
 
     def restart(self, sequence: int, floors: int, groups: int) -> None:

@@ -32,6 +32,7 @@ from rclpy.task import Future
 from rclpy.time_source import CLOCK_TOPIC
 
 from abrace_core.errors import AbraceError
+from abrace_core.node import transport
 from abrace_core.node.parameters import Parameter, as_given, declare, parameter_help, refuse_unknown_types
 
 RCLError = rclpy_implementation.RCLError
@@ -53,17 +54,34 @@ DISPLAY_PERIOD = 0.02
 STREAM_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 """QoS of the rig's subscriptions to `brace_command` and `ground_motion`: only the newest late messages matter."""
 KEPT_STREAM_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
-"""QoS of the publishers of streams and of the subscriptions that must not miss a sample: ten seconds are kept.
+"""QoS of subscriptions that must not miss a sample, and, with a lifespan, of the publishers of streams.
 
 With a depth of ten, a logger that a busy machine delayed by some milliseconds lost samples of a lockstep run, and a
 commander that joined a running rig lost samples one time in two: the 50 to 80 samples that are published during
 discovery arrive all at once.
 """
+_LIFESPAN = Duration(seconds=10)
+"""For which a publisher keeps what a subscriber has not acknowledged; at 500 Hz as many as KEPT_STREAM_QOS keeps.
+
+When a node joins, Fast DDS 2.14 may keep for ever some messages that all others acknowledge just then
+(`StatefulWriter::check_acked_status` takes the new reader for one that has acknowledged all). With each heartbeat it
+lists, and each subscriber goes through, the sequence numbers from the oldest of them to the present one
+(`add_gaps_for_holes_in_history_`). Without a lifespan that took 70 % of a processor at either end after an hour.
+"""
 LOCKSTEP_STREAM_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 """QoS of the samples of a lockstep run: none is overwritten; the rig keeps all and waits for slow subscribers."""
+
 TRANSIENT_LOCAL_QOS = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
+
+
+def published_stream_qos(depth: int = KEPT_STREAM_QOS.depth) -> QoSProfile:
+    """QoS of the publishers of streams: KEPT_STREAM_QOS, and a lifespan except in a lockstep run, which waits."""
+    profile = QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
+    if not transport.is_lockstep():
+        profile.lifespan = _LIFESPAN
+    return profile
 
 
 def rcl_message(error: Exception) -> str:

@@ -43,6 +43,11 @@ def lockstep_environment() -> dict[str, str]:
     return {_PROFILES_FILE: str(_installed("shared_memory.xml"))}
 
 
+def is_lockstep() -> bool:
+    """Whether this process has the `lockstep_environment`."""
+    return os.environ.get(_PROFILES_FILE) == str(_installed("shared_memory.xml"))
+
+
 @contextlib.contextmanager
 def profile(streams: bool) -> Iterator[None]:
     """Set the DDS profile of the participant created within the block: of a node that `streams`, or of another one.

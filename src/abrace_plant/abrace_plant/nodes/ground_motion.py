@@ -16,7 +16,7 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
 from abrace_core.errors import AbraceError
-from abrace_core.node import KEPT_STREAM_QOS, Parameter, run
+from abrace_core.node import Parameter, published_stream_qos, run
 from abrace_core.node.commander import Commander
 from abrace_core.safety.answering import RESTART
 from abrace_core.safety.table_stop import LONGEST
@@ -78,7 +78,7 @@ class GroundMotion(Commander):
         self.first_motion = self.motion(given.record, given.peak_acceleration, given.duration) if given.record else None
         self.cancelled = ""
         self.answering.configure([], 1 / given.sample_rate, moving=self.moving)
-        self.publisher = self.publish_on(AccelStamped, "ground_motion", KEPT_STREAM_QOS)
+        self.publisher = self.publish_on(AccelStamped, "ground_motion", published_stream_qos())
         self.listen()
 
     def motion(self, record: str, peak_acceleration: float, duration: float) -> np.ndarray:

@@ -19,11 +19,11 @@ from abrace_core.errors import AbraceError
 from abrace_core.node import AbraceLifecycleNode, Parameter, find_file, real_time
 from abrace_core.node.conventions import (
     DISPLAY_PERIOD,
-    KEPT_STREAM_QOS,
     LOCKSTEP_STREAM_QOS,
     STREAM_QOS,
     TRANSIENT_LOCAL_QOS,
     clearing,
+    published_stream_qos,
 )
 from abrace_core.node.lifecycle import REST_MARGIN
 from abrace_core.node.stop_listener import StopListener
@@ -120,8 +120,10 @@ class RigNode(AbraceLifecycleNode):
         self.refuse_during_run()
         self.rig = self.load()
         self.safety.configure(rig_outputs(self.rig), 1 / self.rig.sample_rate)
-        self.response = self.publish_on(Response, "response", LOCKSTEP_STREAM_QOS if self.lockstep else KEPT_STREAM_QOS)
-        self.joint_states = self.create_publisher(JointState, "joint_states", 10)
+        self.response = self.publish_on(
+            Response, "response", LOCKSTEP_STREAM_QOS if self.lockstep else published_stream_qos()
+        )
+        self.joint_states = self.create_publisher(JointState, "joint_states", published_stream_qos(depth=10))
         self.description = self.create_publisher(String, "robot_description", TRANSIENT_LOCAL_QOS)
         self.description.publish(String(data=urdf(self.rig)))
         self.clock_publisher = self.create_publisher(Clock, "clock", 10) if self.lockstep else None

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The QoS that streams are published with, as other nodes see it."""
+
+from abrace_core.node.transport import lockstep_environment
+
+PERIOD = 10_000_000_000
+STREAMS = ("response", "joint_states", "ground_motion", "brace_command")
+
+
+def lifespans(graph):
+    """[ns], of each stream."""
+    for node in ("plant", "ground_motion", "excitation"):
+        graph.start(node, **({"rms": 1000.0, "duration": 60.0} if node == "excitation" else {}))
+    topics = {topic: graph.node.resolve_topic_name(topic) for topic in STREAMS}
+
+    def offered():
+        found = {topic: graph.node.get_publishers_info_by_topic(name) for topic, name in topics.items()}
+        return found if all(found.values()) else None
+
+    found = graph.until(offered, "all publishers")
+    return {topic: one.qos_profile.lifespan.nanoseconds for topic, (one,) in found.items()}
+
+
+def test_a_join_leaves_nothing_behind_in_the_streams_for_longer_than_ten_seconds(graph):
+    assert lifespans(graph) == dict.fromkeys(STREAMS, PERIOD)
+
+
+def test_in_lockstep_a_message_waits_for_its_subscriber_as_long_as_it_takes(graph, monkeypatch):
+    for name, value in lockstep_environment().items():
+        monkeypatch.setenv(name, value)
+    assert min(lifespans(graph).values()) > 1000 * PERIOD
