@@ -121,7 +121,8 @@ def loop_latency(controller: Controller) -> dict[str, float]:
         save_controller(controller, file)
         node = find_executable("abrace_lqg", "controller")
         ours = [str(node), "--ros-args", "-r", "__ns:=/ours", "--params-file", str(file)]
-        echo = [sys.executable, str(HERE / "echo.py"), "answer", "brace_command", "--ros-args", "-r", "__ns:=/echo"]
+        script = [sys.executable, str(HERE / "echo.py"), "0"]
+        echo = [*script, "answer", "brace_command", "--ros-args", "-r", "__ns:=/echo"]
         answering = [subprocess.Popen(command) for command in (ours, echo)]
         try:
             asking = [sys.executable, str(Path(__file__).resolve()), "ask"]
