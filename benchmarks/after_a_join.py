@@ -41,6 +41,8 @@ HOUR = 1_800_000
 RATE, FAST = 500.0, 15_000.0
 """Messages a second: of a rig, and as fast as a subscriber acknowledges."""
 MEASURED = 2500
+SHOWN = 100_000
+"""Messages after which the progress is shown."""
 TOPIC = "after_a_join"
 JOINS = 10
 STAYS = 0.5
@@ -78,8 +80,10 @@ def publish(publisher: Publisher, count: int, rate: float) -> np.ndarray:
 def process(seconds: float) -> Iterator[subprocess.Popen[bytes]]:
     """A subscriber in a process of its own."""
     with subprocess.Popen([sys.executable, __file__, "subscriber", str(seconds)]) as running:
-        yield running
-        running.kill()
+        try:
+            yield running
+        finally:
+            running.kill()
 
 
 def stream(qos: QoSProfile, messages: int) -> dict[str, Any]:
@@ -96,9 +100,9 @@ def stream(qos: QoSProfile, messages: int) -> dict[str, Any]:
             with process(STAYS) as joins:
                 while joins.poll() is None:
                     publish(publisher, 100, RATE)
-        for done in range(0, messages, 100_000):
+        for done in range(0, messages, SHOWN):
             print(f"{done} of {messages} messages", end="\r", file=sys.stderr, flush=True)
-            publish(publisher, 100_000, FAST)
+            publish(publisher, min(SHOWN, messages - done), FAST)
         begin, used, ours = time.monotonic(), cpu_seconds(stays.pid), time.process_time()
         took = 1e6 * publish(publisher, MEASURED, RATE)
         elapsed = time.monotonic() - begin

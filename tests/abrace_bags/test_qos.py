@@ -88,6 +88,8 @@ def test_a_subscriber_may_ask_for_what_all_publishers_offer() -> None:
     assert common_qos([TRANSIENT_LOCAL, TRANSIENT_LOCAL], 7) == TRANSIENT_LOCAL._replace(depth=7)
     assert common_qos([TRANSIENT_LOCAL, DEFAULT_QOS], 7) == DEFAULT_QOS._replace(depth=7)
     assert common_qos([BEST_EFFORT, DEFAULT_QOS], 7) == BEST_EFFORT._replace(depth=7)
+    short = DEFAULT_QOS._replace(lifespan=QosTime(10, 0))
+    assert common_qos([short], 7) == DEFAULT_QOS._replace(depth=7), "a late message is recorded all the same"
 
 
 def test_qos_of_rclpy_goes_there_and_back() -> None:

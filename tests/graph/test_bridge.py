@@ -16,6 +16,7 @@ import yaml
 from emulated_target import TICKING, EmulatedTarget
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from running_graph import stamp
 from std_srvs.srv import Trigger
 from udp_target import CONFIG, device_file
 
@@ -77,10 +78,6 @@ def drive(graph: Any) -> None:
     graph.until_matched("excitation", response=1, brace_command=2)
     assert graph.change_state("excitation", "activate")
     graph.until(lambda: abs(graph.responses[-1].force[0]) > 4000.0, "the braces to push")
-
-
-def stamp(message: Any) -> int:
-    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
 def zero(graph: Any) -> Trigger.Response:

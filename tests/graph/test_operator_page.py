@@ -5,6 +5,7 @@ import pytest
 from browser import CHROMIUM
 from driven_browser import DrivenBrowser, Tab
 from operator_page import page_address
+from running_graph import stamp
 
 from abrace_interfaces.msg import Response
 
@@ -22,11 +23,6 @@ ATTACK = """(async () => {
   });
   return found;
 })()"""
-
-
-def sampled(response: Response) -> int:
-    """When a sample was taken [ns]."""
-    return response.header.stamp.sec * 10**9 + response.header.stamp.nanosec
 
 
 def twice(tab: Tab, button: str) -> None:
@@ -62,6 +58,7 @@ def test_a_person_arms_records_stops_and_clears_in_a_browser(graph):
 
         # another page in the same browser, under a name of its own and under one that leads here
         graph.until(lambda: responses and responses[-1].state == Response.RUNNING, "the rig to run")
+        before = len(responses)
         other = browser.open("data:text/html,<p>somebody else's")
         assert other.evaluate(ATTACK % address) == {"read": False, "live": False}
         rebound = browser.open(f"http://attacker.example:{port}/")
@@ -72,9 +69,9 @@ def test_a_person_arms_records_stops_and_clears_in_a_browser(graph):
         assert in_frame == ["chrome-error://chromewebdata/"], "a page that is framed could be had clicked"
         for each in (other, rebound, framed):
             each.close()
-        attacked, count = graph.node.get_clock().now().nanoseconds, len(responses)
-        graph.until(lambda: sampled(responses[-1]) > attacked, "a sample from after the attacks")
-        assert {each.state for each in responses[count:]} == {Response.RUNNING}, "none of them has pressed"
+        attacked = graph.node.get_clock().now().nanoseconds
+        graph.until(lambda: stamp(responses[-1]) > attacked, "a sample from after the attacks")
+        assert {each.state for each in responses[before:]} == {Response.RUNNING}, "none of them has pressed"
 
         # by mouse from the end of the page, by keys wherever the focus is
         for press in (

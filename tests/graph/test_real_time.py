@@ -12,6 +12,7 @@ import joins
 import numpy as np
 import pytest
 from geometry_msgs.msg import AccelStamped
+from running_graph import stamp
 
 from abrace_core.controller_file import Controller, save_controller
 from abrace_core.linear_model import LinearModel
@@ -28,10 +29,6 @@ RAMP_SAMPLES = 250
 RATE_STEP = 5.0e6 / 500
 INPUTS = {"excitation": "brace_command", "controller": "brace_command", "ground_motion": "ground_motion"}
 DRIVEN = {"rms": 5000.0, "duration": 60.0}
-
-
-def stamp(message: Any) -> int:
-    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
 @pytest.fixture(scope="module")

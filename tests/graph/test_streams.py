@@ -3,14 +3,15 @@
 
 from abrace_core.node.transport import lockstep_environment
 
-PERIOD = 10_000_000_000
+TEN_SECONDS = 10_000_000_000
 STREAMS = ("response", "joint_states", "ground_motion", "brace_command")
 
 
 def lifespans(graph):
-    """[ns], of each stream."""
-    for node in ("plant", "ground_motion", "excitation"):
-        graph.start(node, **({"rms": 1000.0, "duration": 60.0} if node == "excitation" else {}))
+    """Of each stream [ns]."""
+    graph.start("plant")
+    graph.start("ground_motion")
+    graph.start("excitation", rms=1000.0, duration=60.0)
     topics = {topic: graph.node.resolve_topic_name(topic) for topic in STREAMS}
 
     def offered():
@@ -22,10 +23,10 @@ def lifespans(graph):
 
 
 def test_a_join_leaves_nothing_behind_in_the_streams_for_longer_than_ten_seconds(graph):
-    assert lifespans(graph) == dict.fromkeys(STREAMS, PERIOD)
+    assert lifespans(graph) == dict.fromkeys(STREAMS, TEN_SECONDS)
 
 
 def test_in_lockstep_a_message_waits_for_its_subscriber_as_long_as_it_takes(graph, monkeypatch):
     for name, value in lockstep_environment().items():
         monkeypatch.setenv(name, value)
-    assert min(lifespans(graph).values()) > 1000 * PERIOD
+    assert min(lifespans(graph).values()) > 1000 * TEN_SECONDS

@@ -83,6 +83,11 @@ STREAM = QoSProfile(depth=50_000, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
+def stamp(message: Any) -> int:
+    """The time in a message's header [ns]."""
+    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+
+
 class Graph:
     """Nodes in a namespace, and the tests' own node among them."""
 

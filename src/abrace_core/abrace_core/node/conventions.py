@@ -66,7 +66,7 @@ _LIFESPAN = Duration(seconds=10)
 When a node joins, Fast DDS 2.14 may keep for ever some messages that all others acknowledge just then
 (`StatefulWriter::check_acked_status` takes the new reader for one that has acknowledged all). With each heartbeat it
 lists, and each subscriber goes through, the sequence numbers from the oldest of them to the present one
-(`add_gaps_for_holes_in_history_`). Without a lifespan that took 70 % of a processor at either end after an hour.
+(`add_gaps_for_holes_in_history_`). Without a lifespan that took 80 % of a processor at either end after an hour.
 """
 LOCKSTEP_STREAM_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 """QoS of the samples of a lockstep run: none is overwritten; the rig keeps all and waits for slow subscribers."""
