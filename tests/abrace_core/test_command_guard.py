@@ -178,3 +178,37 @@ def test_a_reset_is_at_rest_without_a_command():
     guarded.reset()
     assert guarded.at_rest
     assert followed(guarded, None) == [[0.0]]
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(st.floats(-3e4, 3e4), st.integers(0, 3)), min_size=5, max_size=60), st.booleans())
+def test_commands_on_the_way_make_no_step_beyond_the_rate_limit_in_whichever_tick_they_arrive(commands, to_rest):
+    guarded = guard()
+    guarded.on_the_way = 3
+    sent = [0.0] * 4
+    acted = [0.0]
+    arrived = 0
+    for number, (command, late) in enumerate(commands):
+        if to_rest and number == 30:
+            guarded.begin_to_rest()
+        if to_rest and number >= 30:
+            guarded.come_to_rest()
+        elif late == 2 and number % 3 == 0:
+            guarded.repeat()
+        else:
+            guarded.follow([command])
+        sent.append(guarded.value[0])
+        arrived = max(arrived, len(sent) - 1 - late)
+        acted.append(sent[arrived])
+    assert np.abs(np.diff(acted)).max() <= RATE * PERIOD * (1 + 1e-12)
+
+
+def test_a_command_on_the_way_halves_the_rate_of_change_and_nothing_else():
+    guarded = CommandGuard([1000.0], [50_000.0], PERIOD, RAMP)  # 100 N a sample
+    guarded.on_the_way = 1
+    assert followed(guarded, [60.0], [90.0], [50.0]) == [[60.0], [90.0], [50.0]]
+    assert followed(guarded, *[[1000.0]] * 4) == [[150.0], [150.0], [250.0], [250.0]]
+    assert (guarded.rate_limits, guarded.rate_limited) == (4, True)
+    guarded.on_the_way = 3
+    guarded.reset()
+    assert followed(guarded, [60.0]) == [[60.0]]

@@ -241,7 +241,15 @@ def test_a_rig_that_is_held_up_sends_no_step_beyond_the_rate_limit_from_tick_to_
     assert np.abs(np.diff(at_ticks)).max() <= 5e6 * PERIOD * (1 + 1e-12)
 
 
-def test_commands_that_are_lost_or_late_make_no_step_beyond_the_rate_limit_at_the_target(rig, tmp_path):
+@pytest.mark.parametrize(
+    "phases",
+    [
+        [["command.loss=0.05", "command.jitter=0.0005"]],
+        # slower by a tick, by two, and as quick as before again
+        [["command.delay=0.002", "command.loss=0.02"], ["command.delay=0.004"], ["clear", "command.loss=0.05"]],
+    ],
+)
+def test_commands_that_are_lost_or_late_make_no_step_beyond_the_rate_limit_at_the_target(phases, rig, tmp_path):
     path = device_file(tmp_path, timeout=0.1)
     target = EmulatedTarget(path)
     process = subprocess.Popen([str(part) for part in target.command], stdout=subprocess.PIPE, text=True)
@@ -262,8 +270,10 @@ def test_commands_that_are_lost_or_late_make_no_step_beyond_the_rate_limit_at_th
                     self.loop.receive_ground_acceleration(sample.stamp, 0.0)
 
         bench = Following(rig, device)
-        assert target.ask("command.loss=0.05") == target.ask("command.jitter=0.0005") == "ok"
-        bench.until(lambda: bench.loop.sequence > 2000)
+        for number, faults in enumerate(phases, 1):
+            for fault in faults:
+                assert target.ask(fault) == "ok"
+            bench.until(lambda number=number: bench.loop.sequence > 2000 * number / len(phases))
         bench.end()
         found = target.report()
     finally:

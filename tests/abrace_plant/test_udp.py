@@ -78,14 +78,17 @@ def test_a_command_that_is_late_or_lost_is_told_once(target):
         """The target ticks with so many commands; whether the reading says that none is missing."""
         target.counter += 1
         target.send(target.samples.encode(values_of(target.counter), target.counter, target.counter * PERIOD, reached))
-        return target.device.exchange([0.0], 0.0).taken
+        reading = target.device.exchange([0.0], 0.0)
+        on_the_way.append(reading.on_the_way)
+        return reading.taken
 
-    first = target.last.counter
+    first, on_the_way = target.last.counter, []
     reached = [1, 1, 3, 4, 4, 6]
     assert [tick(first + one) for one in reached] == [True, False, True, True, False, True]
     # a link that has become slower by a tick
     last = 6 + SLOWER + 3
     assert [tick(first + one) for one in range(6, last)] == [False] * SLOWER + [True] * 3
+    assert on_the_way == [0] * (6 + SLOWER) + [1] * 3
     # and is quicker from time to time
     assert [tick(first + one) for one in (last + 1, last + 1, last + 2, last + 4)] == [True, False, False, True]
     assert target.device.counters()["commands_late"] == 2 + SLOWER + 1 + 2

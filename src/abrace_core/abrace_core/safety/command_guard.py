@@ -8,6 +8,8 @@ zero along a half cosine within the ramp time.
 from __future__ import annotations
 
 import math
+from collections import deque
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike
+
+MOST_ON_THE_WAY = 500
+"""Commands that are remembered."""
 
 
 def rate_problem(capacity: float, rate_limit: float, sample_period: float, ramp_time: float) -> str:
@@ -69,6 +74,10 @@ class CommandGuard:
     ----------
     value
         (groups,) [N], the force that acts; zero before the first command.
+    on_the_way
+        Number of the last commands that the actuators may not have received yet; 0 unless set. The next one is within
+        the rate limit of each of them and of the one before them, so that it makes no greater step whichever of them
+        acts until then.
     saturated, rate_limited
         Whether the last command was limited to the capacity, and by the rate limit.
     saturations
@@ -114,12 +123,16 @@ class CommandGuard:
         self._ramp = [(1 + math.cos(math.pi * j / steps)) / 2 for j in range(1, steps)]
         self.saturations = 0
         self.rate_limits = 0
+        self.on_the_way = 0
+        self._given: deque[list[float]] = deque(maxlen=MOST_ON_THE_WAY + 1)
         self.reset()
 
     def reset(self) -> None:
         """Set force and command to zero."""
         self._command = [0.0] * len(self._capacity)
         self.value = self._command.copy()
+        self._given.clear()
+        self._given.append(self.value)
         self._ramp_start = self.value
         self._ramp_steps = 0
         self.saturated = self.rate_limited = False
@@ -141,21 +154,28 @@ class CommandGuard:
         if command is not None:
             self._command = list(map(float, command))
         force, saturated, limited = self._command.copy(), False, False
+        within_reach = self._within_reach() if self.on_the_way else None
         for i, last in enumerate(self.value):
             wanted, most, step = force[i] * share, self._capacity[i], self._step[i]
+            least, greatest = within_reach[i] if within_reach else (last - step, last + step)
             if wanted > most or wanted < -most:
                 wanted, saturated = math.copysign(most, wanted), True
-            change = wanted - last
-            if change > step or change < -step:
-                wanted, limited = last + math.copysign(step, change), True
+            if wanted > greatest:
+                wanted, limited = greatest, True
+            elif wanted < least:
+                wanted, limited = least, True
             force[i] = wanted
-        self.value = force
+        self._give(force)
         self.saturated, self.rate_limited = saturated, limited
         self.saturations += saturated and command is not None
         self.rate_limits += limited
 
     def hold(self, samples: int) -> None:
         """Nothing to do for the `samples` in which no command could be given: forces have no history."""
+
+    def repeat(self) -> None:
+        """Note that the last command is sent once more."""
+        self._given.append(self.value)
 
     def begin_to_rest(self) -> None:
         """Begin the ramp from the present force to zero."""
@@ -178,7 +198,26 @@ class CommandGuard:
         self._ramp_steps += samples
         over = self._ramp_steps > len(self._ramp)
         share = 0.0 if over else self._ramp[self._ramp_steps - 1]
-        self.value = [
-            min(max(share * start, last - step), last + step)
-            for start, last, step in zip(self._ramp_start, self.value, self._step, strict=True)
+        self._give(
+            [
+                min(max(share * start, least), greatest)
+                for start, (least, greatest) in zip(self._ramp_start, self._within_reach(), strict=True)
+            ]
+        )
+
+    def _within_reach(self) -> list[tuple[float, float]]:
+        """The least and greatest next force of each group [N], by the rate limit.
+
+        Where they lie too far apart, as after a pause, the last one is kept.
+        """
+        if not self.on_the_way:
+            return [(last - step, last + step) for last, step in zip(self.value, self._step, strict=True)]
+        groups = zip(*islice(reversed(self._given), self.on_the_way + 1), strict=True)
+        return [
+            (min(max(given) - step, given[0]), max(min(given) + step, given[0]))
+            for given, step in zip(groups, self._step, strict=True)
         ]
+
+    def _give(self, force: list[float]) -> None:
+        self.value = force
+        self._given.append(force)

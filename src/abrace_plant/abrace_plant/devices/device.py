@@ -34,6 +34,9 @@ class Reading(NamedTuple):
     taken: bool = True
     """False: a command was late for that tick, or lost on the way. The next one is then the last one again, since two
     changes would be one step at the next tick."""
+    on_the_way: int = 0
+    """How many of the last commands may not have acted at that tick where `taken`: a target or link needs as many ticks
+    more. The next one is within the rate limit of each of them, as it may arrive together with them."""
 
 
 class Device(Protocol):

@@ -233,7 +233,7 @@ class UdpDevice:
             self._exchanged = 0.0
             raise DeviceError(f"{self._name}: has not taken a command for {1e3 * self.file.timeout:g} ms")
         values, clipped = self.calibration.measured(np.array(content.signals, dtype=np.float64))
-        return Reading(values, self._stamp, clipped, self._ticks - 1, self._age, self._taken(content))
+        return Reading(values, self._stamp, clipped, self._ticks - 1, self._age, *self._taken(content))
 
     def make_safe(self) -> None:
         """Tell the target to bring force and table to rest by itself, and send nothing more: its life counter stops.
@@ -353,18 +353,18 @@ class UdpDevice:
             if behind <= self._allowed:
                 self._answered, self._heard = content.answered, time.monotonic()
 
-    def _taken(self, content: Content) -> bool:
-        """Whether at this sample's tick no more commands were on the way than usual."""
+    def _taken(self, content: Content) -> tuple[bool, int]:
+        """Whether at this sample's tick no more commands were on the way than usual, and how many usually are."""
         if content.answered is None:
-            return True
+            return True, 0
         behind = (self._counter - content.answered) % self._echo
         if behind > self._usual:
             self.commands_late += 1
             self._slower += 1
             if self._slower <= SLOWER:
-                return False
+                return False, self._usual
         self._usual, self._slower = behind, 0
-        return True
+        return True, behind
 
     def _by_ticks(self, now: int) -> int:
         """Time of a target that sends none, by its ticks, at `now`, both [ns]; they may not run ahead of our clock."""

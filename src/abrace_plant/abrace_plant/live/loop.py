@@ -232,12 +232,17 @@ class RigLoop:
         self._safety.act([given.take() for given in self._inputs.values()], samples)
         return self._braces.value, self._table.value[0]
 
+    def repeat(self) -> None:
+        """Note that the last force and table acceleration are sent once more."""
+        self._braces.repeat()
+
     def take(self, reading: Reading) -> Sample:
         """The sample that the device has given as a `reading`."""
         missed = reading.missed if self.sequence >= 0 else 0  # what was before the first sample is not of this run
         self.sequence += 1 + missed
         self._stamps.append((reading.stamp, self.sequence))
         self.missed += missed
+        self._braces.on_the_way = reading.on_the_way
         late = reading.age >= self._period
         self.late += late
         self._late_in_a_row = self._late_in_a_row + 1 if late else 0
@@ -294,6 +299,7 @@ class RigLoop:
         """The device has given none of so many `samples`, because of a `problem`."""
         self.sequence += samples
         self.missed += samples
+        self._braces.on_the_way = 0
         self._safety.fault(problem)
         self.ended = self.ending and self._safety.at_rest
 

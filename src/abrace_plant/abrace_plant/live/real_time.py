@@ -124,6 +124,8 @@ class RealTimeRun(threading.Thread):
                 if taken and tick > acted + SENDING_SHARE * period:
                     force, table = loop.act(samples)
                     samples, acted = 0, monotonic()
+                else:
+                    loop.repeat()
             try:
                 reading = self._device.exchange(force, table)
             except DeviceError as error:
