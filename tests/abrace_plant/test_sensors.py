@@ -32,7 +32,7 @@ def test_quantisation_error_stays_within_half_a_step():
 def test_noise_is_white_has_its_standard_deviation_and_leaves_channels_uncorrelated():
     channels = [Sensor(range=100.0, noise=0.5, bits=24), Sensor(range=100.0, noise=0.02, bits=24)]
     measurement = Measurement(channels, seed=3, sample_period=0.002)
-    readings = np.array([measurement.read(np.array([1.0, -2.0])) for _ in range(3 * BLOCK)])
+    readings = np.array([measurement.read(np.array([1.0, -2.0])) for _ in range(12_000)])
     np.testing.assert_allclose(readings.std(axis=0), [0.5, 0.02], rtol=0.05)
     np.testing.assert_allclose(readings.mean(axis=0), [1.0, -2.0], atol=0.03)
     noise = (readings - readings.mean(axis=0)) / readings.std(axis=0)
@@ -68,7 +68,7 @@ def test_bias_and_drift_grow_from_the_first_sample_across_blocks():
     measurement = Measurement(
         [Sensor(range=10.0, noise=0.0, bits=24, bias=0.25, drift=-0.1)], seed=1, sample_period=0.002
     )
-    samples = BLOCK + 100
+    samples = 3 * BLOCK + 100
     readings = np.array([measurement.read(np.array([1.0]))[0] for _ in range(samples)])
     np.testing.assert_allclose(readings, 1.25 - 0.1 * 0.002 * np.arange(samples), atol=10 / 2**23)
 
@@ -130,7 +130,7 @@ def test_a_whole_record_reads_as_sample_after_sample():
         Sensor(range=1.0, noise=0.05, bits=12, bias=0.1, drift=0.01),
         *[Sensor(range=0.5, noise=0.02, bits=10)] * 3,
     ]
-    values = np.random.default_rng(0).normal(0.0, 0.3, (BLOCK + 500, 4))
+    values = np.random.default_rng(0).normal(0.0, 0.3, (3 * BLOCK + 100, 4))
     one, other = (Measurement(channels, seed=4, sample_period=0.002) for _ in range(2))
     for measurement in (one, other):
         measurement.faults = (
@@ -139,5 +139,5 @@ def test_a_whole_record_reads_as_sample_after_sample():
             SensorFault(3, "noise", 9),
         )
     expected = np.array([one.read(row) for row in values])
-    parts = np.split(values, [40, 71, 2000])
+    parts = np.split(values, [40, 71, 700])
     np.testing.assert_array_equal(np.vstack([other.record(part) for part in parts]), expected)
