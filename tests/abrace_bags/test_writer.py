@@ -58,7 +58,7 @@ def note(text: str) -> bytes:
 
 def numbered(sequence: int, frame_id: str = "", stamp: int = SECOND + 2) -> bytes:
     text = frame_id.encode() + b"\0"
-    head = wire.LITTLE_ENDIAN + struct.pack("<iII", *divmod(stamp, SECOND), len(text)) + text
+    head = wire.LITTLE_ENDIAN + struct.pack("<2xiII", *divmod(stamp, SECOND), len(text)) + text
     return head + bytes((4 - len(head)) % 8) + struct.pack("<Q", sequence)
 
 

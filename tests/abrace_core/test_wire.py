@@ -156,6 +156,17 @@ def test_of_a_sender_s_text_one_line_of_limited_length_is_kept():
     assert responses.cause(serialize_message(message)) == fault
 
 
+@pytest.mark.parametrize("floors", [0, 1])
+@pytest.mark.parametrize("groups", [0, 1])
+def test_a_rig_without_floors_or_braces_is_read(floors, groups):
+    zeros = [0.0]
+    message = Response(displacement=floors * zeros, acceleration=floors * zeros, braces=groups * [1])
+    message.stroke = message.force = message.command = groups * zeros
+    _, head, z = Responses().unpack(serialize_message(message))
+    assert head == Head(0, 0, 0, 0, 0)
+    assert z == (0.0,) * (2 * floors + 2 * groups)
+
+
 def test_arrays_that_do_not_belong_together_are_refused():
     message = Response(displacement=[1.0, 2.0], acceleration=[1.0], stroke=[1.0], force=[1.0], command=[1.0])
     for braces in ([1], [], [0], [1, 1]):

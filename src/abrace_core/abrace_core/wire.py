@@ -13,15 +13,16 @@ from __future__ import annotations
 
 import struct
 from itertools import accumulate
-from typing import TYPE_CHECKING, NamedTuple
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from abrace_core.errors import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_HEADER = struct.Struct("<4siII")
+LITTLE_ENDIAN = b"\x00\x01"
+_HEADER = struct.Struct("<2s2xiII")
 SATURATED, RATE_LIMITED, TABLE_LIMITED, STOP_PRESSED, LATE, LOCKSTEP, LAST = (1 << bit for bit in range(7))
 """Flags of Response.msg."""
 LONGEST_TEXT = 1000
@@ -49,25 +50,39 @@ def read_header(payload: bytes) -> Header:
     AbraceError
         If the payload is not little-endian CDR, or is truncated.
     """
-    if len(payload) < _HEADER.size or payload[:2] != LITTLE_ENDIAN[:2]:
+    if len(payload) < _HEADER.size or payload[:2] != LITTLE_ENDIAN:
         raise AbraceError("message: expected a stamped message in little-endian CDR")
     _, seconds, nanoseconds, length = _HEADER.unpack_from(payload)
     return Header(seconds * 10**9 + nanoseconds, _aligned(_HEADER.size + length, 8))
 
 
-def _pack_header(stamp: int, frame_id: str) -> bytes:
-    """Encapsulation and header, up to the next 8-byte field."""
-    text = frame_id.encode() + b"\0"
-    packed = _HEADER.pack(LITTLE_ENDIAN, stamp // 10**9, stamp % 10**9, len(text)) + text
-    return packed.ljust(_aligned(len(packed), 8), b"\0")
+class _Layout:
+    """Layout of a message: header, whole numbers, arrays of doubles of known lengths, and single doubles.
 
+    Parameters
+    ----------
+    frame
+        Length of the header's string, with the zero at its end.
+    numbers
+        Format of the whole numbers, without byte order.
+    lengths
+        Of the arrays.
+    singles
+        Number of single doubles.
 
-class _Arrays:
-    """Layout of whole numbers, arrays of doubles of known lengths, and single doubles."""
+    Attributes
+    ----------
+    struct
+        Of the message.
+    starts
+        By array, the index of its length in what `struct` unpacks; its elements follow. The numbers begin at 5.
+    """
 
-    def __init__(self, offset: int, numbers: struct.Struct, lengths: Sequence[int], singles: int) -> None:
-        form, position, self.starts = numbers.format, offset + numbers.size, []
-        values = len(numbers.unpack(bytes(numbers.size)))
+    def __init__(self, frame: int, numbers: str, lengths: Sequence[int], singles: int) -> None:
+        text = _aligned(_HEADER.size + frame, 8) - _HEADER.size
+        form, self.starts = f"{_HEADER.format}{text}s{numbers}", []
+        position = struct.calcsize(form)
+        values = len(struct.unpack(form, bytes(position)))
         for length in lengths:
             form, position = form + "I", position + 4
             padding = (_aligned(position, 8) - position) if length else 0
@@ -78,17 +93,11 @@ class _Arrays:
             form += f"{_aligned(position, 8) - position}x{singles}d"
         self.lengths = tuple(lengths)
         self.struct = struct.Struct(form)
-        self.offset = offset
 
-    def pack(
-        self, numbers: Sequence[int], arrays: Sequence[Sequence[float]], singles: Sequence[float], text: bytes
-    ) -> bytes:
-        """`numbers`, `arrays` and `singles` in this layout, and a `text` after them."""
-        values: list[float] = []
-        for array in arrays:
-            values.append(len(array))
-            values.extend(array)
-        return self.struct.pack(*numbers, *values, *singles) + text
+    def pack(self, stamp: int, frame: bytes, values: Sequence[float]) -> bytes:
+        """The message with this `stamp` [ns], `frame` with its zero, and `values` of all that follows."""
+        seconds, nanoseconds = divmod(stamp, 10**9)
+        return self.struct.pack(LITTLE_ENDIAN, seconds, nanoseconds, len(frame), frame, *values)
 
 
 def _pack_text(text: str, position: int) -> bytes:
@@ -125,11 +134,15 @@ class Head(NamedTuple):
 class Responses:
     """Packs and unpacks Response messages; a reader learns the rig's size from the first one."""
 
-    _HEAD = struct.Struct("<QQQIB3x")
-    _arrays: _Arrays | None = None
+    _HEAD = "QQQIB3x"
+    _FRAME = b"table\0"
+    _layout: _Layout | None = None
     _text = "", b""
-    _counted: tuple[int, ...] = ()
-    _spans: Sequence[tuple[int, int]] = ()
+    # of what the layout unpacks: counts, and what they are; displacements, strokes, accelerations; each group's cells
+    _counts: Callable[[tuple[Any, ...]], tuple[Any, ...]] = tuple
+    _counted: tuple[Any, ...] = ()
+    _motion = slice(0), slice(0), slice(0)
+    _cells: Sequence[tuple[int, int]] = ()
     floors = groups = 0
 
     def pack(
@@ -150,14 +163,17 @@ class Responses:
         `cause`, `braces`, `displacement`, `acceleration`, `stroke`, `force`, `command` and `ground_acceleration` are as
         in Response.msg, `head` has the rest; the arrays' lengths stay those of the first call.
         """
-        arrays = (displacement, acceleration, stroke, force, command)
-        header = _pack_header(stamp, "table")
-        if self._arrays is None:
-            self._arrays = _Arrays(len(header), self._numbers(len(braces)), [len(array) for array in arrays], 1)
+        values: list[float] = [*head, len(braces), *braces]
+        for array in (displacement, acceleration, stroke, force, command):
+            values.append(len(array))
+            values.extend(array)
+        values.append(ground_acceleration)
+        if self._layout is None:
+            lengths = [len(array) for array in (displacement, acceleration, stroke, force, command)]
+            self._layout = _Layout(len(self._FRAME), self._numbers(len(braces)), lengths, 1)
         if cause != self._text[0] or not self._text[1]:
-            self._text = cause, _pack_text(cause, self._arrays.offset + self._arrays.struct.size)
-        numbers = (*head, len(braces), *braces)
-        return header + self._arrays.pack(numbers, arrays, (ground_acceleration,), self._text[1])
+            self._text = cause, _pack_text(cause, self._layout.struct.size)
+        return self._layout.pack(stamp, self._FRAME, values) + self._text[1]
 
     def unpack(self, payload: bytes) -> tuple[int, Head, tuple[float, ...]]:
         """Stamp [ns], head, and z = [displacement, stroke, acceleration, force] of a `payload`.
@@ -169,22 +185,16 @@ class Responses:
         AbraceError
             If it is no Response.
         """
-        stamp, offset = read_header(payload)
-        arrays = self._arrays
-        if arrays is None or arrays.offset != offset or len(payload) < offset + arrays.struct.size:
-            arrays = self._learn(payload, offset)
-        values = arrays.struct.unpack_from(payload, offset)
-        x, a, s, f, u = arrays.starts
-        n, m, cells = self.floors, self.groups, arrays.lengths[3]
-        known = values[x] == values[a] == n and values[s] == values[u] == m and values[f] == cells
-        if not known or values[5:x] != self._counted:
-            self._learn(payload, offset)
+        layout = self._layout
+        if layout is None or len(payload) < layout.struct.size:
+            layout = self._learn(payload)
+        values = layout.struct.unpack_from(payload)
+        if self._counts(values) != self._counted:
+            self._learn(payload)
             return self.unpack(payload)
-        z = values[x + 1 : x + 1 + n] + values[s + 1 : s + 1 + m] + values[a + 1 : a + 1 + n]
-        force = values[f + 1 : f + 1 + cells]
-        if cells != m:
-            force = tuple([sum(force[begin:end]) / (end - begin) for begin, end in self._spans])
-        return stamp, Head(*values[:5]), z + force
+        force = tuple([sum(values[begin:end]) / (end - begin) for begin, end in self._cells])
+        x, s, a = self._motion
+        return values[1] * 10**9 + values[2], Head._make(values[5:10]), values[x] + values[s] + values[a] + force
 
     def cause(self, payload: bytes) -> str:
         """The cause of a fault in a `payload` that has just been unpacked; empty: there is none.
@@ -194,15 +204,16 @@ class Responses:
         AbraceError
             If the payload is cut off.
         """
-        assert self._arrays is not None
-        return _unpack_text(payload, self._arrays.offset + self._arrays.struct.size, "Response")
+        assert self._layout is not None
+        return _unpack_text(payload, self._layout.struct.size, "Response")
 
-    def _learn(self, payload: bytes, offset: int) -> _Arrays:
-        counts = offset + self._HEAD.size + 4
+    def _learn(self, payload: bytes) -> _Layout:
+        header = read_header(payload)
+        counts = header.offset + struct.calcsize(f"<{self._HEAD}I")
         groups = int.from_bytes(payload[counts - 4 : counts], "little")
         braces = tuple(payload[counts : counts + groups])
         numbers = self._numbers(len(braces))
-        position, lengths = offset + numbers.size, []
+        position, lengths = header.offset + struct.calcsize(f"<{numbers}"), []
         for _ in range(5):
             position = _aligned(position, 4)
             if position + 4 > len(payload):
@@ -221,33 +232,37 @@ class Responses:
                 "groups, braces, groups"
             )
         self.floors, self.groups = floors, groups
-        ends = list(accumulate(braces))
-        self._counted, self._spans = (groups, *braces), list(zip([0, *ends], ends, strict=False))
-        self._arrays = _Arrays(offset, numbers, lengths, 1)
-        return self._arrays
+        (frame,) = struct.unpack_from("<I", payload, _HEADER.size - 4)
+        layout = self._layout = _Layout(frame, numbers, lengths, 1)
+        x, a, s, f, _ = layout.starts
+        counted = [0, 3, *range(10, x), *layout.starts]
+        self._counts = itemgetter(*counted)
+        self._counted = (LITTLE_ENDIAN, frame, groups, *braces, *lengths)
+        self._motion = slice(x + 1, x + 1 + floors), slice(s + 1, s + 1 + groups), slice(a + 1, a + 1 + floors)
+        ends = [f + 1 + end for end in accumulate(braces)]
+        self._cells = list(zip([f + 1, *ends], ends, strict=False))
+        return layout
 
     @classmethod
-    def _numbers(cls, groups: int) -> struct.Struct:
-        """Layout of the head and the number of braces in each group, up to the next 4-byte field."""
-        return struct.Struct(f"{cls._HEAD.format}I{groups}B{-groups % 4}x")
+    def _numbers(cls, groups: int) -> str:
+        """Format of the head and the number of braces in each group, up to the next 4-byte field."""
+        return f"{cls._HEAD}I{groups}B{-groups % 4}x"
 
 
 class BraceCommands:
     """Packs and unpacks BraceCommand messages."""
 
-    _NUMBERS = struct.Struct("<QQ")
-    _arrays: _Arrays | None = None
+    _layout: _Layout | None = None
     _text = "", b""
 
     def pack(self, stamp: int, run: int, sequence: int, force: Sequence[float], fault: str = "") -> bytes:
         """The message with `stamp` [ns], `run` and `sequence` of the Response that it answers, `force` [N], `fault`."""
-        header = _pack_header(stamp, "")
-        if self._arrays is None or self._arrays.lengths != (len(force),):
-            self._arrays = _Arrays(len(header), self._NUMBERS, [len(force)], 0)
+        if self._layout is None or self._layout.lengths != (len(force),):
+            self._layout = _Layout(1, "QQ", [len(force)], 0)
             self._text = "", b""
         if fault != self._text[0] or not self._text[1]:
-            self._text = fault, _pack_text(fault, self._arrays.offset + self._arrays.struct.size)
-        return header + self._arrays.pack((sequence, run), (force,), (), self._text[1])
+            self._text = fault, _pack_text(fault, self._layout.struct.size)
+        return self._layout.pack(stamp, b"\0", (sequence, run, len(force), *force)) + self._text[1]
 
     def unpack(self, payload: bytes) -> tuple[int, int, tuple[float, ...], str]:
         """Run, sequence, force [N] and fault of a `payload`.
@@ -269,11 +284,12 @@ class BraceCommands:
 
 
 _ACCELERATION = struct.Struct("<6d")
+_TABLE = _Layout(len(b"table\0"), "", [], 6)
 
 
 def pack_acceleration(stamp: int, acceleration: float) -> bytes:
     """An AccelStamped of the table: `stamp` [ns], `acceleration` [m/s^2] along x."""
-    return _pack_header(stamp, "table") + _ACCELERATION.pack(acceleration, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return _TABLE.pack(stamp, b"table\0", (acceleration, 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 def unpack_acceleration(payload: bytes) -> tuple[int, float]:

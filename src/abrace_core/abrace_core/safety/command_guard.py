@@ -153,18 +153,22 @@ class CommandGuard:
         """Apply a `share` of a `command` (groups,) [N] that has no `problem`; None: of the last command."""
         if command is not None:
             self._command = list(map(float, command))
-        force, saturated, limited = self._command.copy(), False, False
+        force, saturated, limited = [], False, False
         within_reach = self._within_reach() if self.on_the_way else None
-        for i, last in enumerate(self.value):
-            wanted, most, step = force[i] * share, self._capacity[i], self._step[i]
-            least, greatest = within_reach[i] if within_reach else (last - step, last + step)
+        for i, asked in enumerate(self._command):
+            wanted, most = asked * share, self._capacity[i]
             if wanted > most or wanted < -most:
                 wanted, saturated = math.copysign(most, wanted), True
+            if within_reach is None:
+                last, step = self.value[i], self._step[i]
+                least, greatest = last - step, last + step
+            else:
+                least, greatest = within_reach[i]
             if wanted > greatest:
                 wanted, limited = greatest, True
             elif wanted < least:
                 wanted, limited = least, True
-            force[i] = wanted
+            force.append(wanted)
         self._give(force)
         self.saturated, self.rate_limited = saturated, limited
         self.saturations += saturated and command is not None

@@ -313,8 +313,7 @@ class RigSafety:
         # a new ramp or fade advances by one sample, even if samples were lost before this one
         samples, self._entered = 1 if self._entered else samples, False
         # a ramp to rest counts those that it advances by
-        held = since - (samples if self.state is State.RAMPING_DOWN else 1)
-        if held:
+        if since > 1 and (held := since - (samples if self.state is State.RAMPING_DOWN else 1)):
             for output in self.outputs:
                 output.hold(held)
         if self.state is State.RUNNING:
