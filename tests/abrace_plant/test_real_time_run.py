@@ -5,6 +5,7 @@ import random
 import subprocess
 import threading
 import time
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -281,6 +282,43 @@ def test_commands_that_are_lost_or_late_make_no_step_beyond_the_rate_limit_at_th
         process.communicate(timeout=20)
     assert found["worst_force"] == 24e3
     assert found["worst_step_over_rate_limit"] <= 1 + 1e-9
+
+
+def test_a_sender_that_is_always_late_does_not_hold_up_the_others_commands(rig):
+    waited = Counter()
+
+    class Slow(Bench):
+        """Answers for the braces late from sample 100 to 200, for the table not at all from 150 to 160."""
+
+        def publish(self, sample) -> None:
+            super().publish(sample)
+            number = sample.head.sequence
+            if not 150 <= number < 160:
+                self.loop.receive_ground_acceleration(sample.stamp, 0.0)
+            self.loop.receive_command(1, number - 5 if 100 <= number < 200 else number, [1.0], "")
+
+    bench = Slow(rig, SimulatedRig(rig, 1, by_the_clock=True))
+    with bench.lock:
+        wait_for = bench.run._answered.wait_for
+
+        def noted(holds, timeout):
+            waited[bench.loop.sequence] += not holds()
+            return wait_for(holds, timeout)
+
+        bench.run._answered.wait_for = noted
+    bench.until(lambda: bench.loop.sequence > 300)
+    bench.end()
+
+    def waits(first: int, end: int) -> set[int]:
+        """How often it was waited after each of these samples: for all, then for those that are not always late."""
+        return {count for number, count in waited.items() if first <= number < end}
+
+    assert waits(20, 100) == {0}
+    assert waits(100, 105) == {2}
+    assert waits(120, 150) == {1}
+    assert waits(150, 160) == {2}
+    assert waits(160, 200) == {1}
+    assert waits(205, 300) == {0}
 
 
 def test_zeros_are_commanded_to_a_device_that_follows_only_after_a_while(rig):

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from abrace_plant.rig.model import Rig
 
 COMMAND, GROUND = "brace_command", "ground_motion"
+SLOW = 10
+"""Late answers in a row after which a sender is slow."""
 MESSAGE_BITS = 2**64 - 1
 """Channels of which a message says whether they are at the end of their range: the first 64. Interlocks watch all."""
 
@@ -65,7 +67,7 @@ class _Input:
         self.last: Sequence[float] = ()
         self.fault = ""
         self.answered = self.heard = -1
-        self.late = 0
+        self.late = self.late_in_a_row = 0
 
     def receive(self, sequence: int, value: Sequence[float], now: int) -> str:
         """Accept an answer to sample `sequence` after sample `now`; returns why it is a fault, or nothing.
@@ -73,13 +75,14 @@ class _Input:
         One that is later than the time-out does not act.
         """
         self.hear(value, now)
+        late = sequence != now
+        self.late_in_a_row = self.late_in_a_row + 1 if late else 0
         if sequence > now or sequence < max(self.answered, now - self.timeout):
             self.late += 1
             return ""
         if sequence == self.answered:
             return f"two messages on {self.name} answer sample {sequence}, expected one sender"
-        if sequence < now:
-            self.late += 1
+        self.late += late
         self.answered = sequence
         self.pending = value
         return ""
@@ -92,6 +95,11 @@ class _Input:
         """The answer that has not acted yet."""
         pending, self.pending = self.pending, None
         return pending
+
+    @property
+    def slow(self) -> bool:
+        """Whether the last answers were all late."""
+        return self.late_in_a_row >= SLOW
 
     def silent(self, now: int) -> bool:
         """Whether the last answer is older than the time-out."""
@@ -214,6 +222,11 @@ class RigLoop:
         """Whether everyone who answers has answered the last sample."""
         now = self.sequence
         return all(one.answered == now for one in self._inputs.values() if not one.silent(now))
+
+    def quick_answered(self) -> bool:
+        """The same without those whose last answers were all late."""
+        now = self.sequence
+        return all(one.answered == now for one in self._inputs.values() if not (one.slow or one.silent(now)))
 
     def moving(self) -> str:
         """Which input is not at rest, and why; empty: all are."""

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 ANSWER_SHARE = 0.8
 """Share of the sample period after its tick within which answers to a sample must arrive; later ones act a sample
 later."""
+SLOW_SHARE = 0.4
+"""The same for a sender that has been slow: its answers act a sample later anyway, and if it were waited for until
+ANSWER_SHARE all commands, also those to the table, would often reach the hardware after its next tick."""
 SENDING_SHARE = 0.1
 """Share of the sample period that a command may take until the device has it."""
 
@@ -95,7 +98,7 @@ class RealTimeRun(threading.Thread):
 
     def answered(self) -> None:
         """An answer has come; called with the lock."""
-        if self._loop.all_answered():
+        if self._loop.quick_answered():
             self._answered.notify()
 
     def run(self) -> None:
@@ -119,7 +122,8 @@ class RealTimeRun(threading.Thread):
         tick, samples, acted, taken = monotonic(), 1, -math.inf, True
         while not loop.ended:
             with self._answered:
-                self._answered.wait_for(loop.all_answered, tick + ANSWER_SHARE * period - monotonic())
+                self._answered.wait_for(loop.all_answered, tick + SLOW_SHARE * period - monotonic())
+                self._answered.wait_for(loop.quick_answered, tick + ANSWER_SHARE * period - monotonic())
                 # the last command may have come after this tick: with another one there would be two steps at the next
                 if taken and tick > acted + SENDING_SHARE * period:
                     force, table = loop.act(samples)
