@@ -315,7 +315,7 @@ def test_a_sender_that_is_always_late_does_not_hold_up_the_others_commands(rig):
 
     assert waits(20, 100) == {0}
     assert waits(100, 105) == {2}
-    assert waits(120, 150) == {1}
+    assert waits(135, 150) == {1}
     assert waits(150, 160) == {2}
     assert waits(160, 200) == {1}
     assert waits(205, 300) == {0}

@@ -224,7 +224,7 @@ class RigLoop:
         return all(one.answered == now for one in self._inputs.values() if not one.silent(now))
 
     def quick_answered(self) -> bool:
-        """The same without those whose last answers were all late."""
+        """Whether everyone has answered the last sample but those whose last answers were all late."""
         now = self.sequence
         return all(one.answered == now for one in self._inputs.values() if not (one.slow or one.silent(now)))
 
@@ -246,7 +246,7 @@ class RigLoop:
         return self._braces.value, self._table.value[0]
 
     def repeat(self) -> None:
-        """Note that the last force and table acceleration are sent once more."""
+        """Note that the last commands are sent once more."""
         self._braces.repeat()
 
     def take(self, reading: Reading) -> Sample:
