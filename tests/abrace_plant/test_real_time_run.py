@@ -5,8 +5,9 @@ import random
 import subprocess
 import threading
 import time
-from collections import Counter
+from collections import defaultdict
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -285,7 +286,7 @@ def test_commands_that_are_lost_or_late_make_no_step_beyond_the_rate_limit_at_th
 
 
 def test_a_sender_that_is_always_late_does_not_hold_up_the_others_commands(rig):
-    waited = Counter()
+    waited = defaultdict(list)
 
     class Slow(Bench):
         """Answers for the braces late from sample 100 to 200, for the table not at all from 150 to 160."""
@@ -302,23 +303,23 @@ def test_a_sender_that_is_always_late_does_not_hold_up_the_others_commands(rig):
         wait_for = bench.run._answered.wait_for
 
         def noted(holds, timeout):
-            waited[bench.loop.sequence] += not holds()
+            waited[bench.loop.sequence] += [] if holds() else [holds.__name__]
             return wait_for(holds, timeout)
 
         bench.run._answered.wait_for = noted
     bench.until(lambda: bench.loop.sequence > 300)
     bench.end()
 
-    def waits(first: int, end: int) -> set[int]:
-        """How often it was waited after each of these samples: for all, then for those that are not always late."""
-        return {count for number, count in waited.items() if first <= number < end}
+    def waits(first: int, end: int) -> list[list[str]]:
+        """What was waited for after these samples, each once."""
+        return [what for what, _ in groupby(sorted(waited[number] for number in range(first, end)))]
 
-    assert waits(20, 100) == {0}
-    assert waits(100, 105) == {2}
-    assert waits(135, 150) == {1}
-    assert waits(150, 160) == {2}
-    assert waits(160, 200) == {1}
-    assert waits(205, 300) == {0}
+    assert waits(20, 100) == [[]]
+    assert waits(100, 105) == [["quick_answered"]], "nobody is slow yet"
+    assert waits(135, 150) == [["all_answered"]], "for a shorter time"
+    assert waits(150, 160) == [["all_answered", "quick_answered"]]
+    assert waits(160, 200) == [["all_answered"]]
+    assert waits(205, 300) == [[]]
 
 
 def test_zeros_are_commanded_to_a_device_that_follows_only_after_a_while(rig):

@@ -223,6 +223,10 @@ class RigLoop:
         now = self.sequence
         return all(one.answered == now for one in self._inputs.values() if not one.silent(now))
 
+    def slow_sender(self) -> bool:
+        """Whether there is someone whose last answers were all late."""
+        return any(one.slow for one in self._inputs.values())
+
     def quick_answered(self) -> bool:
         """Whether everyone has answered the last sample but those whose last answers were all late."""
         now = self.sequence

@@ -122,7 +122,9 @@ class RealTimeRun(threading.Thread):
         tick, samples, acted, taken = monotonic(), 1, -math.inf, True
         while not loop.ended:
             with self._answered:
-                self._answered.wait_for(loop.all_answered, tick + SLOW_SHARE * period - monotonic())
+                # where nobody is slow it would only wake this thread while the loop's thread needs the interpreter
+                if loop.slow_sender():
+                    self._answered.wait_for(loop.all_answered, tick + SLOW_SHARE * period - monotonic())
                 self._answered.wait_for(loop.quick_answered, tick + ANSWER_SHARE * period - monotonic())
                 # the last command may have come after this tick: with another one there would be two steps at the next
                 if taken and tick > acted + SENDING_SHARE * period:
