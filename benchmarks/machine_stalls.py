@@ -67,7 +67,7 @@ class MachineStalls:
 
 
 def watch(notes: Path) -> None:
-    """Write when the processor whose number is the name of the file `notes` woke this late, and by how much."""
+    """Write when this process woke late, on the processor that the file `notes` is named after, and by how much."""
     os.sched_setaffinity(0, {int(notes.name)})
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(HIGHEST))
