@@ -21,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,9 +67,10 @@ def reduced(rig: Rig) -> LinearModel:
     return balanced_truncation(rig.model, 8, typical_scales(rig.model, (0.3, 30.0), INTENSITY)).model
 
 
-def lqg3() -> Controller:
-    """LQG3 on eight states and the two of the command's delay."""
+def lqg3(sample_rate: float = 500.0) -> Controller:
+    """LQG3 on eight states and the two of the command's delay, at so many samples a second."""
     rig, weights = rig_and_weights()
+    rig = replace(rig, sample_rate=sample_rate)
     made = design(reduced(rig), weights, 1 / rig.sample_rate)
     observer = made.correction, made.prediction
     return Controller("lqg3", made.controller, *observer, rig.capacity, "the rig's own", "lqg3", "not needed here")

@@ -50,7 +50,7 @@ from safety_by_the_clock import TARGET_PRIORITY
 from std_srvs.srv import Trigger
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
-from udp_target import CONFIG, RIG, device_file
+from udp_target import CONFIG, device_file
 from wrong_messages import WrongMessages
 
 from abrace_core.controller_file import save_controller
@@ -58,11 +58,16 @@ from abrace_core.progress import Progress
 from abrace_core.run import Run
 from abrace_core.safety.rig_safety import ACTING
 from abrace_interfaces.msg import Response
+from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from running_graph import Graph
 
-CAPACITY, RATE_STEP = 24516.625, 5.0e6 / 500
+SAMPLE_RATE = 500.0
+CAPACITY, RATE_LIMIT = 24516.625, 5.0e6
+RATE_STEP = RATE_LIMIT / SAMPLE_RATE
 MESSAGES = 10_000
 MOST_ANSWERS = 1000
 """Every sixth of them stops the rig, which then needs a second."""
@@ -91,8 +96,8 @@ AT_ITS_END = "displacement of the table"
 class Bridge:
     """The emulator and its device file, with a calibration that may be written."""
 
-    def __init__(self, graph: Graph) -> None:
-        self.graph = graph
+    def __init__(self, graph: Graph, rig: Path) -> None:
+        self.graph, self.rig_file, self.rig = graph, rig, load_rig(rig)
         parts = CONFIG / "device_parts"
         self.file = device_file(graph.folder, timeout=0.02, calibrated=True)
         shutil.copy(parts / "calibration.yaml", graph.folder)
@@ -104,14 +109,14 @@ class Bridge:
 
     def start(self) -> None:
         """Start the emulator, its table in the middle."""
-        self.target = EmulatedTarget(self.file, priority=TARGET_PRIORITY)
+        self.target = EmulatedTarget(self.file, self.rig_file, TARGET_PRIORITY)
         process = self.graph.processes.start("emulator", self.target.command, self.graph.folder / "emulator.log")
         self.graph.until(lambda: TICKING in process.last_lines(), "the emulator")
 
     def note(self) -> None:
         """Keep the greatest values so far."""
         report = self.target.report()
-        table_step = report["worst_table_step"] * RIG.sample_rate / RIG.table.peak_jerk
+        table_step = report["worst_table_step"] * self.rig.sample_rate / self.rig.table.peak_jerk
         for name, value in (
             ("command", report["worst_command"]),
             ("step", report["worst_step_over_rate_limit"]),
@@ -130,13 +135,17 @@ class Bridge:
 class Driven:
     """A rig and those that drive it, and a person who knows no better than to make it act again."""
 
-    def __init__(self, graph: Graph, name: str, wrong: WrongMessages) -> None:
+    def __init__(self, graph: Graph, name: str, wrong: WrongMessages, sample_rate: float) -> None:
         self.graph, self.name, self.wrong = graph, name, wrong
         graph.by_the_clock = True
-        self.bridge = Bridge(graph) if name == "sensor_bridge" else None
-        graph.start(name, **({"device": str(self.bridge.file)} if self.bridge else {}))
-        graph.start("excitation", rms=3000.0, duration=3600.0)
-        graph.start("ground_motion", record="white_noise", rms=0.1, duration=3600.0, band=[0.3, 10.0])
+        rig = graph.folder / "rig.yaml"
+        text = (CONFIG / "ncree_three_storey.yaml").read_text(encoding="utf-8")
+        rig.write_text(re.sub(r"(?m)^sample_rate: \S+", f"sample_rate: {sample_rate}", text), encoding="utf-8")
+        self.bridge = Bridge(graph, rig) if name == "sensor_bridge" else None
+        graph.start(name, rig=str(rig), **({"device": str(self.bridge.file)} if self.bridge else {}))
+        played: dict[str, Any] = {"duration": 3600.0, "sample_rate": sample_rate}
+        graph.start("excitation", rms=3000.0, **played)
+        graph.start("ground_motion", rig=str(rig), record="white_noise", rms=0.1, band=[0.3, 10.0], **played)
 
     def acts(self) -> bool:
         """Whether commands act; if not they are made to."""
@@ -182,16 +191,16 @@ class Driven:
         self.wrong.call(Trigger, f"{name}/clear_fault", Trigger.Request())
 
 
-def start_others(graph: Graph, wrong: WrongMessages) -> None:
+def start_others(graph: Graph, wrong: WrongMessages, sample_rate: float) -> None:
     """All other nodes, each where it has something to do."""
     folder = graph.folder
-    save_controller(lqg3(), folder / "lqg3.yaml")
+    save_controller(lqg3(sample_rate), folder / "lqg3.yaml")
     # two senders are a fault: the controller receives the rig's samples, but its own commands reach no node
     graph.start("controller", "--params-file", folder / "lqg3.yaml", "-r", "brace_command:=unheard")
     # called otherwise, so that the supervisor waits for a logger
     graph.start("logger", name="recorder", output=str(folder / "bag"))
     unheard = ("-r", "response:=spare/response", "-r", "brace_command:=spare/brace_command")
-    graph.start("excitation", *unheard, name="spare", autostart=False)
+    graph.start("excitation", *unheard, name="spare", autostart=False, sample_rate=sample_rate)
     graph.start("supervisor", inputs=["brace_command=spare"], plant=False, patience=LONG)
     graph.start("jitter", duration=LONG, patience=LONG)
     graph.start("operator", port=0)
@@ -246,14 +255,16 @@ def watch(port: str, token: str, page: str) -> None:
                 client.messages[topic].clear()
 
 
-def wrong_endurance(graph: Graph, rig: str, messages: int, chance: random.Random) -> dict[str, Any]:
+def wrong_endurance(
+    graph: Graph, rig: str, messages: int, chance: random.Random, sample_rate: float = SAMPLE_RATE
+) -> dict[str, Any]:
     """So many `messages` on each topic and service of a graph: with all nodes around `sensor_bridge`, or `plant`."""
     progress, died = Progress(4), 0
     wrong = WrongMessages(graph, chance)
     try:
-        driven = Driven(graph, rig, wrong)
+        driven = Driven(graph, rig, wrong, sample_rate)
         if rig == "sensor_bridge":
-            start_others(graph, wrong)
+            start_others(graph, wrong, sample_rate)
         reporting = set(graph.started)
         graph.until(lambda: reporting <= graph.statuses.keys(), f"all of {', '.join(sorted(reporting))}")
         if rig == "sensor_bridge":

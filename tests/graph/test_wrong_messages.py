@@ -10,18 +10,20 @@ import pytest
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rosgraph_msgs.msg import Clock
-from wrong_endurance import CAPACITY, OFFLINE, RATE_STEP, wrong_endurance
+from wrong_endurance import CAPACITY, OFFLINE, RATE_LIMIT, wrong_endurance
 
 MESSAGES = 10
+SAMPLE_RATE = 250.0
+"""With 500 samples a second the nodes that drive the rig leave too little of two slow processors to all others."""
 
 
 @pytest.mark.alone
 @pytest.mark.parametrize("rig", ["sensor_bridge", "plant"])
 def test_nothing_wrong_reaches_the_device_and_no_node_dies(graph, rig):
-    found = wrong_endurance(graph, rig, MESSAGES, random.Random(1))
+    found = wrong_endurance(graph, rig, MESSAGES, random.Random(1), SAMPLE_RATE)
     assert found["not_finite"] == 0
     assert found["greatest_force"] <= CAPACITY
-    assert found["worst_step"] <= RATE_STEP * (1 + 1e-12), found["worst_between"]
+    assert found["worst_step"] <= RATE_LIMIT / SAMPLE_RATE * (1 + 1e-12), found["worst_between"]
     assert found["acting"] > 100, "forces acted meanwhile"
     own = {f"{graph.namespace}/{name}" for name in ("response", "brace_command", "ground_motion", "emergency_stop")}
     assert own | {"/emergency_stop"} <= found["topics"].keys()

@@ -297,12 +297,14 @@ class WrongMessages:
         def note(response: Response) -> None:
             if response.header.frame_id != FRAME:
                 self.last[topic] = response
+            self._stop_late()
 
         self.node.create_subscription(Response, topic, note, 100)
 
     def _note(self, array: DiagnosticArray) -> None:
         if array.header.frame_id != FRAME:
             self.reported.update((status.name, status) for status in array.status)
+        self._stop_late()
 
     def spin(self, seconds: float) -> None:
         """Receive for so long; fail where a node has died."""
@@ -353,6 +355,7 @@ class WrongMessages:
 
         `tell` is called with the share that is done and with words.
         """
+        self.until(lambda: self.reported, "diagnostics, from which wrong ones are made")
         topics = self.find_topics()
         publishers = {name: self.node.create_publisher(kind, name, OFFERED) for name, kind in topics.items()}
         for name, publisher in publishers.items():
