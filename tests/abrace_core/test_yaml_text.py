@@ -68,3 +68,10 @@ def test_right_files_are_read_by_the_quick_parser(monkeypatch):
 def test_a_lone_half_of_a_character_is_an_error():
     with pytest.raises(AbraceError, match="x: not YAML: a character that YAML does not allow"):
         parse_yaml("name: \ud800", "x")
+
+
+def test_keys_that_a_merge_brings_may_be_written_as_well():
+    text = "a: &a {x: 1, y: 1}\nn: {b: &b {<<: *a, x: 2}}\nc: {<<: *b, y: 3}"
+    assert parse_yaml(text, "x") == {"a": {"x": 1, "y": 1}, "n": {"b": {"x": 2, "y": 1}}, "c": {"x": 2, "y": 3}}
+    with pytest.raises(AbraceError, match="x: line 2: key 'z' appears twice, expected once"):
+        parse_yaml("a: &a {x: 1}\nb: {<<: *a, z: 1, z: 2}", "x")

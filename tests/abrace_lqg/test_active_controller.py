@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from interpreter import yields
 
 from abrace_core.controller_file import Controller
 from abrace_core.errors import AbraceError
@@ -166,3 +167,22 @@ def test_the_innovation_is_reported_by_name():
     active.reset(NAMES, ("U",), np.zeros(1))
     run(active, 100, 3.0)
     assert active.innovation_rms() == {"a1": pytest.approx(3.0)}, "nothing was expected"
+
+
+def test_an_answer_keeps_the_interpreter():
+    """Each time that it let it go, a second thread that is busy would delay it by some 0.1 ms; np.dot lets it go."""
+    states, random = 10, np.random.default_rng(1)
+    law = LinearModel(
+        0.9 * np.eye(states),
+        random.normal(size=(states, 3)),
+        random.normal(size=(1, states)),
+        np.zeros((1, 3)),
+        ("x1", "a1", "f"),
+        ("U",),
+        PERIOD,
+    )
+    one = Controller("one", law, np.zeros((states, 1)), np.zeros((3, states + 1)), np.full(1, 1e5), "n", "n", "n")
+    active = reset_controller(one)
+    run(active, STEPS)
+    active.prepare_change(replace(one, name="two"))()
+    assert yields(lambda: run(active, 1), 2000) == 0

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from interpreter import yields
 
 from abrace_core.errors import AbraceError
 from abrace_core.safety.rig_safety import RAMP_TIME, RigSafety, State
@@ -358,3 +359,10 @@ def test_a_channel_beyond_the_bits_of_a_message_stops_the_rig_at_the_end_of_its_
     assert "f6: at the end of its range" in samples[-1].cause
     assert loop.clipped["w"] == loop.clipped["f6"] == 3
     assert [sample.head.clipped for sample in samples] == [0, 0, 0]
+
+
+def test_the_interlocks_keep_the_interpreter(rig, bench):
+    """Each time that they let it go, a second thread that is busy would delay the sample; np.dot does it."""
+    bench.step()
+    values = np.zeros(len(rig.channel_names))
+    assert yields(lambda: bench.loop.interlocks.check(values, (0.0,), 0.0, 0.0, 0), 5000) == 0

@@ -135,7 +135,7 @@ class Interlocks:
         self._at_rest = found.at_rest
         self._vector = np.zeros(found.step.shape[1])
         self._inputs = self._vector[states:]
-        self._ones, self._reading = np.ones(len(self._inputs)), self._inputs[:count]
+        self._reading = self._inputs[:count]
         self._command = self._inputs[count : count + rig.groups]
         self._sizes, self._greatest = np.zeros(linear), np.zeros(linear)
         oscillates = np.array([one.interlock == "oscillation" for one in found.quantities])
@@ -207,7 +207,7 @@ class Interlocks:
         self._reading[:] = reading
         self._command[:] = command
         self._inputs[-2], self._inputs[-1] = table_displacement, table_velocity
-        if not math.isfinite(self._ones.dot(self._inputs)):  # because one of the inputs is not, or is absurd
+        if not math.isfinite(sum(self._inputs.tolist())):  # because one of the inputs is not, or is absurd
             return self._not_a_number()
         if not self._samples:
             self._begin()
