@@ -15,7 +15,7 @@ from abrace_core.simulation import simulate
 from abrace_core.wire import LAST, LATE, LOCKSTEP, SATURATED
 from abrace_plant.devices.device import Reading
 from abrace_plant.devices.simulated import SimulatedRig
-from abrace_plant.live.loop import COMMAND, GROUND, RigLoop, rig_outputs
+from abrace_plant.live.loop import COMMAND, GROUND, LONGEST_WITHOUT_STOPS, RigLoop, rig_outputs
 from abrace_plant.rig.file import load_rig
 
 TIMEOUT = 0.02
@@ -31,12 +31,12 @@ def rig():
 class Bench:
     """A loop with its safety and all of its samples."""
 
-    def __init__(self, rig) -> None:
+    def __init__(self, rig, lockstep=True) -> None:
         self.safety = RigSafety()
         self.safety.configure(rig_outputs(rig), 1 / rig.sample_rate)
         self.safety.activate()
         self.device = SimulatedRig(rig, 1, by_the_clock=False)
-        self.loop = RigLoop(rig, self.device, self.safety, TIMEOUT, LATE_LIMIT, RUN, lockstep=True)
+        self.loop = RigLoop(rig, self.device, self.safety, TIMEOUT, LATE_LIMIT, RUN, lockstep)
         self.samples = []
 
     def step(self):
@@ -359,6 +359,24 @@ def test_a_channel_beyond_the_bits_of_a_message_stops_the_rig_at_the_end_of_its_
     assert "f6: at the end of its range" in samples[-1].cause
     assert loop.clipped["w"] == loop.clipped["f6"] == 3
     assert [sample.head.clipped for sample in samples] == [0, 0, 0]
+
+
+def test_a_rig_by_the_clock_for_which_nobody_looks_for_stops_is_stopped(rig):
+    bench, limit = Bench(rig, lockstep=False), round(LONGEST_WITHOUT_STOPS * rig.sample_rate)
+    for _ in range(3):
+        bench.drive(np.full(limit, 1000.0))
+        bench.loop.stops_looked_for()
+    assert bench.samples[-1].head.state == State.RUNNING, bench.samples[-1].cause
+    bench.drive(np.full(limit, 1000.0))
+    assert not bench.samples[-1].cause
+    bench.drive([1000.0, 1000.0])
+    assert bench.samples[-1].cause.startswith("no look at the stop buttons for 0.5 s")
+    assert bench.samples[-1].head.state == State.RAMPING_DOWN
+
+
+def test_in_lockstep_nobody_needs_to_look_for_stops_by_the_clock(rig, bench):
+    bench.drive(np.full(5 * round(LONGEST_WITHOUT_STOPS * rig.sample_rate), 1000.0))
+    assert not bench.samples[-1].cause
 
 
 def test_the_interlocks_keep_the_interpreter(rig, bench):

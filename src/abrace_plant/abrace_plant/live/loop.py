@@ -4,11 +4,12 @@
 Sample k uses the answers to sample k-1: the command acts from t_k on, and the ground has the commanded acceleration at
 t_k. These are faults, after which table and braces come to rest together: an input that is missing while its force or
 table acts, two commands for one sample, a value that is not finite, a sender's own fault, samples that are late or
-missed, a device that fails, and a tripped interlock.
+missed, stops that nobody looks for, a device that fails, and a tripped interlock.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 COMMAND, GROUND = "brace_command", "ground_motion"
 SLOW = 10
 """Late answers in a row after which a sender is slow."""
+LONGEST_WITHOUT_STOPS = 0.5
+"""Seconds by the clock in which somebody has to look for stops while something acts."""
 MESSAGE_BITS = 2**64 - 1
 """Channels of which a message says whether they are at the end of their range: the first 64. Interlocks watch all."""
 
@@ -185,6 +188,8 @@ class RigLoop:
         self._stamps: deque[tuple[int, int]] = deque(maxlen=timeout + 1)
         self._late_limit = late_limit
         self._late_in_a_row = 0
+        self._unwatched_limit = math.inf if lockstep else round(LONGEST_WITHOUT_STOPS * rig.sample_rate)
+        self._stops_at = 0
         self._until_now = self._braces.value
         self._flags = LOCKSTEP if lockstep else 0
         self.run = run
@@ -283,12 +288,21 @@ class RigLoop:
         if trip is not None and safety.acting:
             safety.fault(str(trip))
 
+    def stops_looked_for(self) -> None:
+        """Note that somebody has looked for stops: where nobody does, they would not be heard."""
+        self._stops_at = self.sequence
+
     def _look_for_delays(self, missed: int) -> None:
-        """A delayed loop is a fault while something acts."""
+        """A delayed loop is a fault while something acts; so is a thread that should have looked for stops."""
         if missed > self._late_limit:
             self._safety.fault(f"the rig's loop was delayed: {missed} samples missed before sample {self.sequence}")
         elif self._late_in_a_row > self._late_limit:
             self._safety.fault(f"{self._late_in_a_row} samples in a row were taken late, up to sample {self.sequence}")
+        elif self._safety.acting and self.sequence - self._stops_at > self._unwatched_limit:
+            self._safety.fault(
+                f"no look at the stop buttons for {LONGEST_WITHOUT_STOPS:g} s: other programs keep this node's second "
+                "thread from running"
+            )
 
     def _sample(self, reading: Reading, clipped: int) -> Sample:
         safety, flags = self._safety, self._flags

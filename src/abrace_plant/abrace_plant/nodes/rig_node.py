@@ -294,6 +294,8 @@ class RigNode(AbraceLifecycleNode):
         """Take messages of the stop buttons."""
         who = self.stops.who()
         with self.lock:
+            if self.loop is not None:
+                self.loop.stops_looked_for()
             if who != self.safety.pressed:
                 self.safety.stop(who)
         self.report_fault(self.safety.cause or None)
