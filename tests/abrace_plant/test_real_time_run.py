@@ -50,6 +50,7 @@ class Bench:
 
     def publish(self, sample) -> None:
         self.samples.append(sample)
+        self.loop.stops_looked_for()  # as a node's second thread does
 
     def until(self, holds) -> None:
         deadline = time.monotonic() + 20
