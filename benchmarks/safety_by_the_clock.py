@@ -357,7 +357,10 @@ def loop_undisturbed(rig: Rig) -> None:
     del rig.responses[:-1], rig.commands[:-1]
     values = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(rig.graph.folder / "lqg3.yaml"))
     request = SetParameters.Request(parameters=[Parameter(name="next", value=values)])
+    asked = time.monotonic()
     rig.graph.call(SetParameters, "controller/set_parameters", request)
+    took = time.monotonic() - asked
+    assert took > 0.002, "a service of more than a sample"
     assert not rig.graph.change_state("controller", "configure"), "configured while it is active"
     rig.graph.call(GetState, "controller/get_state", GetState.Request())
     count = len(rig.responses) + 50

@@ -64,7 +64,7 @@ emulated actuators.
 
 Measured on two virtual processors with nothing else running, in one run: 98 of 98 pairs, 16 of 16 interlocks, 27 of the
 28 cases 20 of 20; killed, stopped and flooding 100 of 100 each; no step beyond the rate limit. The 28th, services of a
-controller in use, passes only if not one answer acts late: 17 of 20 in this run, 60 of 60 in one on another day
+controller in use, passes only if not one answer acts late: 17 of 20 in this run, 60 of 60 in another, 1 of 5 in a third
 ([why](real_time.md#threads)). With other work on the same processors up to 3 of 20 runs of three cases
 failed, and 1 of 100 of killed, while the machine stalled.
 

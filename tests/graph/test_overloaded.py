@@ -7,6 +7,7 @@ import os
 import sys
 
 import pytest
+from running_graph import may_have_priority
 
 from abrace_interfaces.msg import Response
 
@@ -20,19 +21,8 @@ while time.monotonic() < end:
 """
 
 
-def allowed() -> bool:
-    """Whether this user may have real-time priorities."""
-    usual = os.sched_getscheduler(0), os.sched_getparam(0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    except PermissionError:
-        return False
-    os.sched_setscheduler(0, *usual)
-    return True
-
-
 @pytest.mark.alone
-@pytest.mark.skipif(not allowed(), reason="this user may not have real-time priorities")
+@pytest.mark.skipif(not may_have_priority(), reason="this user may not have real-time priorities")
 def test_a_rig_that_cannot_hear_its_stop_buttons_stops_by_itself(graph):
     """Programs of the second thread's priority occupy all processors; the loop, one above, goes on."""
     graph.by_the_clock = True

@@ -15,6 +15,7 @@ import pytest
 from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import get_parameter_value
+from running_graph import may_have_priority
 from std_msgs.msg import Int64
 from std_srvs.srv import Trigger
 
@@ -96,12 +97,6 @@ class Shaker(AbraceLifecycleNode):
 
 sys.exit(run(Shaker, ["shaker", *sys.argv[1:]]))
 """
-
-
-def may_have_priority() -> bool:
-    """Whether a process of ours may have a real-time priority."""
-    tried = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))"
-    return subprocess.run([sys.executable, "-c", tried], stderr=subprocess.DEVNULL, check=False).returncode == 0
 
 
 def shared_memory(process: subprocess.Popen) -> set[str]:

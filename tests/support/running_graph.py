@@ -10,6 +10,8 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -81,6 +83,12 @@ LEADS_TO = {
 STREAM = QoSProfile(depth=50_000, reliability=ReliabilityPolicy.RELIABLE)
 """What a busy machine lets wait is kept: a lockstep rig does not wait for who only listens."""
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def may_have_priority() -> bool:
+    """Whether a process of ours may have a real-time priority."""
+    tried = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))"
+    return subprocess.run([sys.executable, "-c", tried], stderr=subprocess.DEVNULL, check=False).returncode == 0
 
 
 def stamp(message: Any) -> int:
