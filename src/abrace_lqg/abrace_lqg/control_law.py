@@ -104,4 +104,4 @@ class ControlLaw:
     def _advance(self, force: list[float]) -> None:
         if force != self._command.tolist():
             self._corrected += self._correction @ (np.array(force) - self._command)
-        self._state[:] = self._next_state
+        np.positive(self._next_state, self._state)  # an assignment in NumPy 1 lets other threads have the interpreter

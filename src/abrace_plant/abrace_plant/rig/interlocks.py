@@ -204,7 +204,7 @@ class Interlocks:
             The interlock that requires a protective stop, the first in the order of the table, as long as its value is
             exceeded. Interlocks that only warn are in `warnings`.
         """
-        self._reading[:] = reading
+        np.positive(reading, self._reading)  # an assignment in NumPy 1 lets other threads have the interpreter
         self._command[:] = command
         self._inputs[-2], self._inputs[-1] = table_displacement, table_velocity
         if not math.isfinite(sum(self._inputs.tolist())):  # because one of the inputs is not, or is absurd
