@@ -8,6 +8,8 @@ worst_step_over_rate_limit  of all of them: the greatest change of a command bet
                             also as it reaches the emulated actuators
 controller                  killed, stopped, flooding, behind `sensor_bridge` and emulator: runs, and those in which the
                             force was zero within `command_timeout` (10 samples), ramp (250) and 5 samples more
+without_services            runs of `nothing_but_the_loop_in_its_thread`, in turns with it, in which nothing was called:
+                            what is late in them is the machine's
 while_stalled               of each: runs that failed, and in which the machine itself stalled for 1 ms or more
                             (machine_stalls.py); they count as failed
 faults_before               of each: faults of the rig before the case did what it tries, cleared as a person would
@@ -34,7 +36,7 @@ from interlock_margins import interlocks_tripped
 from isolation import isolated
 from machine_stalls import MachineStalls
 from running_graph import Graph
-from safety_by_the_clock import CONTROLLED, EXCITED, FAILURES, Rig
+from safety_by_the_clock import CONTROLLED, EXCITED, FAILURES, NOTHING_CALLED, Rig
 from safety_cases import LOCKSTEP, plant_in_hand, walk_pairs, worst_step
 from safety_graphs import GRAPHS
 
@@ -66,8 +68,8 @@ class Tries:
         self._context, self._stalls = context, stalls
 
     def run(self, make: Callable[[Graph], Any], cases: Mapping[str, Callable[[Any], None]], runs: int) -> None:
-        """Try `cases` on a bench that `make` makes of a graph; after one that fails, on a new one."""
-        left = [(name, case) for name, case in cases.items() for _ in range(runs)]
+        """Try `cases` in turns on a bench that `make` makes of a graph; after one that fails, on a new one."""
+        left = [*cases.items()] * runs
         while left:
             name = f"safety_{next(_numbers)}"
             folder = Path(name).resolve()
@@ -106,9 +108,7 @@ class Tries:
                     at_device = getattr(bench, "worst_step_at_device", 0.0)
                     self.worst_step = max(self.worst_step, worst_step(bench.responses), at_device)
                 took = time.monotonic() - began
-                print(
-                    f"{name}: {counts['passed']} of {counts['runs']} passed ({took:.1f} s)", file=sys.stderr, flush=True
-                )
+                print(f"{name}: {_passed(counts)} passed ({took:.1f} s)", file=sys.stderr, flush=True)
 
 
 def safety(runs: int = RUNS, controller_runs: int = CONTROLLER_RUNS, only: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -127,11 +127,13 @@ def safety(runs: int = RUNS, controller_runs: int = CONTROLLER_RUNS, only: tuple
             for make, cases in GRAPHS.items():
                 rows.run(make, chosen(cases), runs)
             rows.run(partial(Rig, commander="excitation"), chosen(EXCITED), runs)
-            rows.run(partial(Rig, commander="controller"), chosen(CONTROLLED), runs)
+            if not only or CONTROLLED.keys() & set(only):
+                rows.run(partial(Rig, commander="controller"), CONTROLLED, runs)
             bridged = partial(Rig, commander="controller", name="sensor_bridge")
             failing.run(bridged, chosen(FAILURES), controller_runs)
     finally:
         context.try_shutdown()
+    without = rows.found.pop(NOTHING_CALLED, {})
     return {
         "pairs": pairs,
         "pairs_covered": covered,
@@ -139,7 +141,16 @@ def safety(runs: int = RUNS, controller_runs: int = CONTROLLER_RUNS, only: tuple
         "cases": rows.found,
         "worst_step_over_rate_limit": max(rows.worst_step, failing.worst_step),
         "controller": failing.found,
+        NOTHING_CALLED: without,
     }
+
+
+def _passed(counts: dict[str, int]) -> str:
+    return f"{counts['passed']} of {counts['runs']}"
+
+
+def _runs(counts: dict[str, int]) -> str:
+    return f"{counts['runs']} runs, {counts['while_stalled']} failed in a stall"
 
 
 def claims_of(found: dict[str, Any]) -> list[Claim]:
@@ -159,7 +170,7 @@ def claims_of(found: dict[str, Any]) -> list[Claim]:
                 f"safety: {name.replace('_', ' ')}",
                 one["passed"],
                 one["runs"],
-                f"{one['runs']} runs, {one['while_stalled']} failed in a stall",
+                _runs(one) + (f"; without a service {_passed(found[NOTHING_CALLED])}" if name in CONTROLLED else ""),
                 least=True,
             )
             for name, one in counted.items()

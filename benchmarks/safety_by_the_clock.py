@@ -49,7 +49,7 @@ TABLE_FAR = 50.0
 FLOOD, FLOOD_RATE = 2000, 10_000
 """Messages, and a second."""
 DRIVEN: dict[str, Any] = {"rms": 4000.0, "duration": 60.0}
-SHAKEN: dict[str, Any] = {"record": "white_noise", "duration": 60.0, "rms": 0.3, "band": [0.3, 10.0]}
+SHAKEN: dict[str, Any] = {"record": "white_noise", "duration": 240.0, "rms": 0.3, "band": [0.3, 10.0]}
 
 
 def stamp_of(response: Response) -> int:
@@ -192,6 +192,26 @@ class Rig:
                 self.graph.clear_fault(name)
         answer = self.graph.clear_fault(self.name)
         return bool(answer.success) or "no fault" in answer.message
+
+    def until_undisturbed(self) -> None:
+        """Let the controller answer until its last 100 answers were in time; forget the samples before."""
+        self.until_driven(100.0)
+        self.graph.until(
+            lambda: len(self.commands) > 200 and not self.late_answers(100), "a node that has joined to keep up"
+        )
+        del self.responses[:-1], self.commands[:-1]
+
+    def expect_no_delay(self) -> None:
+        """50 more samples, and none since `until_undisturbed` was late, unanswered, or its answer late."""
+        count = len(self.responses) + 50
+        self.graph.until(lambda: len(self.responses) > count, "samples")
+        assert self.last.state == Response.RUNNING, self.last.cause
+        answered = [one.sequence for one in self.commands if one.sequence > self.responses[0].sequence]
+        assert (np.diff(answered) == 1).all(), "an answer is missing"
+        late = sum(bool(one.flags & Response.LATE) for one in self.responses)
+        assert not late, f"{late} samples were late"
+        waited = self.late_answers(len(self.commands))
+        assert not waited, f"{len(waited)} answers acted late, the first to sample {waited[0]}"
 
     def late_answers(self, count: int) -> list[int]:
         """Samples of the last `count` answers that were not in force two samples later."""
@@ -350,11 +370,9 @@ def rig_stalled(rig: Rig) -> None:
     assert worst_step(rig.responses) <= 1.0, "a step beyond the rate limit"
 
 
-def loop_undisturbed(rig: Rig) -> None:
+def services_called(rig: Rig) -> None:
     """Parameters and life cycle services of a controller in use: every sample is answered before the next one."""
-    rig.until_driven(100.0)
-    rig.graph.until(lambda: len(rig.commands) > 200 and not rig.late_answers(100), "a node that has joined to keep up")
-    del rig.responses[:-1], rig.commands[:-1]
+    rig.until_undisturbed()
     values = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(rig.graph.folder / "lqg3.yaml"))
     request = SetParameters.Request(parameters=[Parameter(name="next", value=values)])
     asked = time.monotonic()
@@ -363,15 +381,13 @@ def loop_undisturbed(rig: Rig) -> None:
     assert took > 0.002, "a service of more than a sample"
     assert not rig.graph.change_state("controller", "configure"), "configured while it is active"
     rig.graph.call(GetState, "controller/get_state", GetState.Request())
-    count = len(rig.responses) + 50
-    rig.graph.until(lambda: len(rig.responses) > count, "samples")
-    assert rig.last.state == Response.RUNNING, rig.last.cause
-    answered = [one.sequence for one in rig.commands if one.sequence > rig.responses[0].sequence]
-    assert (np.diff(answered) == 1).all(), "an answer is missing"
-    late = sum(bool(one.flags & Response.LATE) for one in rig.responses)
-    assert not late, f"{late} samples were late"
-    waited = rig.late_answers(len(rig.commands))
-    assert not waited, f"{len(waited)} answers acted late, the first to sample {waited[0]}"
+    rig.expect_no_delay()
+
+
+def nothing_called(rig: Rig) -> None:
+    """The same without a service, for comparison: what the machine itself delays."""
+    rig.until_undisturbed()
+    rig.expect_no_delay()
 
 
 def killed(rig: Rig) -> None:
@@ -427,5 +443,9 @@ EXCITED: dict[str, Callable[[Rig], None]] = {
     "two_rigs": two_rigs,
     "rig_stalled": rig_stalled,
 }
-CONTROLLED: dict[str, Callable[[Rig], None]] = {"nothing_but_the_loop_in_its_thread": loop_undisturbed}
+NOTHING_CALLED = "without_services"
+CONTROLLED: dict[str, Callable[[Rig], None]] = {
+    "nothing_but_the_loop_in_its_thread": services_called,
+    NOTHING_CALLED: nothing_called,
+}
 FAILURES: dict[str, Callable[[Rig], None]] = {"killed": killed, "stopped": stopped, "flooding": flooding}
