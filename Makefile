@@ -7,6 +7,8 @@ SHELL := /bin/bash
 .PHONY: help setup same-ros tools demo docs reference lint test test-libraries test-sourced verify bench soak clean
 
 ENVIRONMENT := source ros2_ws/setup.bash
+# the tests start some 1500 Python processes: each would compile abrace anew
+TEST_ENVIRONMENT := export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1; unset PYTHONDONTWRITEBYTECODE
 # some tests wait: one more at a time than there are processors
 TEST_LIBRARIES := python -m pytest --numprocesses $(shell expr $$(nproc) + 1) --dist loadscope --ignore tests/graph
 PACKAGES := abrace_core abrace_bags abrace_plant abrace_sysid abrace_lqg abrace abrace_bringup
@@ -69,14 +71,14 @@ lint: tools  ## ruff and mypy (its types are those of NumPy 2: not where ROS 2 i
 
 test: lint  ## lint and all tests: the libraries' on all cores, the graph's three files at a time, what takes all cores alone
 	@$(ENVIRONMENT)
-	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+	$(TEST_ENVIRONMENT)
 	$(TEST_LIBRARIES)
 	python -m pytest --numprocesses 3 --dist loadfile -m "not alone" tests/graph
 	python -m pytest -m alone tests/graph
 
 test-libraries: tools
 	@$(ENVIRONMENT)
-	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+	$(TEST_ENVIRONMENT)
 	$(TEST_LIBRARIES)
 
 # a copy of the tracked files is set up and tested there: .venv and the workspace of this folder stay as they are
