@@ -19,6 +19,7 @@ python benchmarks/safety.py [RUNS [RUNS OF A CONTROLLER THAT FAILS [CASE ...]]]
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import json
 import os
@@ -187,8 +188,20 @@ def verify_safety() -> tuple[dict[str, Any], list[Claim]]:
     return found, claims_of(found)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """The command of this file."""
+    parser = argparse.ArgumentParser(description="what may go wrong, on running nodes")
+    parser.add_argument("runs", type=int, nargs="?", default=RUNS)
+    parser.add_argument("controller_runs", type=int, nargs="?", default=CONTROLLER_RUNS)
+    parser.add_argument("cases", nargs="*", help="those alone")
+    given = parser.parse_args()
+    known = [name for cases in (LOCKSTEP, *GRAPHS.values(), EXCITED, CONTROLLED, FAILURES) for name in cases]
+    if unknown := [name for name in given.cases if name not in known]:
+        parser.error(f"{', '.join(unknown)}: expected {', '.join(known)}")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with isolated():
-        runs, controller_runs, *names = (*sys.argv[1:], *map(str, (RUNS, CONTROLLER_RUNS)[len(sys.argv) - 1 :]))
-        print(json.dumps(safety(int(runs), int(controller_runs), tuple(names)), indent=1))
+        print(json.dumps(safety(given.runs, given.controller_runs, tuple(given.cases)), indent=1))
+
+
+if __name__ == "__main__":
+    main()
